@@ -1,5 +1,4 @@
-"""Records of minutiae for tests: typed byte by byte from the tables of the standards, and made at
-random."""
+"""Records of minutiae: byte by byte from the tables of the standards, and random ones."""
 
 from __future__ import annotations
 
@@ -60,12 +59,9 @@ ANSI_2009_BYTES = bytes.fromhex("""
 
 
 def transaction(*records: bytes, content: bytes = b"") -> bytes:
-    """A transaction of ANSI/NIST-ITL: a Type-1 record, and these; `content` of 1.003 where some are
-    binary."""
-    fields = (
-        b"\x1d1.002:0502\x1d1.003:" + content + b"\x1d1.004:OTHER\x1d1.011:39.37\x1d1.012:39.37\x1c"
-    )
-    return _with_length(b"1.001:", fields) + b"".join(records)
+    """A transaction of ANSI/NIST-ITL: a Type-1 record and these; binary ones need field 1.003."""
+    fields = b"\x1d1.002:0502\x1d1.003:%s\x1d1.004:OTHER\x1d1.011:39.37\x1d1.012:39.37\x1c"
+    return _with_length(b"1.001:", fields % content) + b"".join(records)
 
 
 def type_14(image: NDArray[np.uint8], kind: int = 14, **changes: bytes) -> bytes:
@@ -86,21 +82,20 @@ def type_14(image: NDArray[np.uint8], kind: int = 14, **changes: bytes) -> bytes
         "DATA": (999, image.tobytes()),
     }
     fields = {name: (number, changes.get(name, value)) for name, (number, value) in fields.items()}
-    parts = [
-        b"\x1d%d.%03d:%s" % (kind, number, value) for number, value in fields.values() if value
-    ]
+    stated = [(number, value) for number, value in fields.values() if value]
+    parts = [b"\x1d%d.%03d:%s" % (kind, number, value) for number, value in stated]
     return _with_length(b"%d.001:" % kind, b"".join(parts) + b"\x1c")
 
 
 def _with_length(tag: bytes, rest: bytes) -> bytes:
-    length = next(
-        n for n in range(len(rest), len(rest) + 20) if n == len(tag) + len(b"%d" % n) + len(rest)
-    )
+    """The length counts its own digits."""
+    plain = len(tag) + len(rest)
+    length = next(n for n in range(plain, plain + 20) if n == plain + len(b"%d" % n))
     return tag + b"%d" % length + rest
 
 
 def three_minutiae(**changes: Any) -> FingerView:
-    """The view of :data:`ISO_BYTES`, in our terms."""
+    """The first view of :data:`ISO_BYTES`."""
     view = FingerView(
         np.array([10, 300, 0]),
         np.array([20, 400, 0]),
@@ -117,7 +112,7 @@ def three_minutiae(**changes: Any) -> FingerView:
 
 @st.composite
 def views(draw: st.DrawFn, standard: str) -> FingerView:
-    """A view with anything that a standard can say."""
+    """A view with any contents that a standard can hold."""
     table = {ISO_2005: ISO_2005_IMPRESSIONS, ANSI_2004: ANSI_2004_IMPRESSIONS}.get(
         standard, ANSI_2009_IMPRESSIONS
     )

@@ -1,4 +1,4 @@
-"""Enrolled people, and what prints are asked for again and again, computed once for all tests."""
+"""Enrolled people, and NFIQ 2 and the ridges of prints, computed once for all tests."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ from splitknit_match.prints.pressed import pressed_ridges
 
 
 def once(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of a print, the same at every call (test_minutiae.py), which so is called once for
-    all tests."""
-    kept: dict[bytes, Any] = {}
+    """Remember the results of a function of a print; test_minutiae.py tests that they repeat."""
+    results: dict[bytes, Any] = {}
 
     @wraps(function)
-    def called(image: np.ndarray, *others: float) -> Any:
-        key = sha256(repr((image.shape, others)).encode() + image.tobytes()).digest()
-        if key not in kept:
-            kept[key] = function(image, *others)
-        return kept[key]
+    def called(image: np.ndarray, *arguments: float) -> Any:
+        key = sha256(repr((image.shape, arguments)).encode() + image.tobytes()).digest()
+        if key not in results:
+            results[key] = function(image, *arguments)
+        return results[key]
 
     return called
 
@@ -38,6 +37,5 @@ minutiae.pressed_ridges = from_file.pressed_ridges = once(pressed_ridges)
 
 @pytest.fixture(scope="session")
 def people_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Enrolment of two people, three fingers, two sessions, as result folders; not to be
-    changed."""
+    """Two people, three fingers, two sessions as result folders; not to be changed."""
     return enrolled.people(tmp_path_factory.mktemp("people"))

@@ -1,5 +1,4 @@
-"""Simulated fingers without photographs: the true surfaces of a few fingers, each laid down several
-times."""
+"""Simulated fingers without photographs: true surfaces, each finger in several poses."""
 
 from __future__ import annotations
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.model import default_rig
-from splitknit_match.matching.ridge_band import ridge_band
+from splitknit_match.matching.ridge_band import RidgeBand, ridge_band
 from splitknit_match.matching.template import Template, make_template
 from splitknit_match.matching.thesis import FingerImages, finger_images
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
@@ -24,7 +23,7 @@ POSES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Impression:
-    """One finger as it lay once."""
+    """A finger in one pose."""
 
     finger: int
     pose: FingerPose
@@ -34,8 +33,11 @@ class Impression:
     normals: np.ndarray
     pitch_mm: float
 
+    def band(self) -> RidgeBand:
+        return ridge_band(self.ridge_mm, self.mask, self.pitch_mm, self.shape_mm)
+
     def template(self) -> Template:
-        return make_template(ridge_band(self.ridge_mm, self.mask, self.pitch_mm, self.shape_mm))
+        return make_template(self.band())
 
     def images(self) -> FingerImages:
         return finger_images(self.normals, self.ridge_mm, self.mask, self.pitch_mm)
@@ -45,22 +47,19 @@ class Impression:
 def impressions() -> list[Impression]:
     """Three impressions of each of three fingers."""
     camera = default_rig(SCALE).camera
-    found = []
+    drawn = []
     for seed, pattern in enumerate(("left_loop", "whorl", "left_loop")):
         finger = draw_finger(700 + seed, pattern)
         master = finger.master()
         for pose in POSES:
             seen = finger_surface(replace(finger, printed=master), pose, camera)
             ridge = seen.height_mm - seen.shape_mm
-            found.append(
-                Impression(
-                    seed, pose, ridge, seen.shape_mm, seen.mask, seen.normals, camera.pitch_mm
-                )
-            )
-    return found
+            surface = ridge, seen.shape_mm, seen.mask, seen.normals
+            drawn.append(Impression(seed, pose, *surface, camera.pitch_mm))
+    return drawn
 
 
 @pytest.fixture(scope="session")
 def templates(impressions: list[Impression]) -> list[Template]:
-    """Their templates."""
+    """Of each impression."""
     return [impression.template() for impression in impressions]

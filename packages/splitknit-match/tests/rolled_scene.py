@@ -1,5 +1,4 @@
-"""A matt finger between two mirrors, from formulas of its own: an elliptic cylinder with a round
-tip, and ridges."""
+"""A matt finger between two mirrors, by formulas: an elliptic cylinder with a round tip, ridges."""
 
 from __future__ import annotations
 
@@ -60,10 +59,10 @@ def on_finger(first: np.ndarray, y: np.ndarray, axis: str) -> tuple[np.ndarray, 
     `axis` is ``z`` (from the camera; first is x), ``+x`` or ``-x`` (from the sides; first is z).
     """
     cap = np.maximum(y, 0.0) / CAP
-    half, other = (A, B) if axis == "z" else (B, A)
-    across = first / half if axis == "z" else (first - TOP + B) / half
+    breadth, height = (A, B) if axis == "z" else (B, A)
+    across = first / breadth if axis == "z" else (first - TOP + B) / breadth
     rest = 1.0 - across**2 - cap**2
-    far = other * np.sqrt(np.maximum(rest, 0.0))
+    far = height * np.sqrt(np.maximum(rest, 0.0))
     if axis == "z":
         points = np.stack(np.broadcast_arrays(first, y, far + TOP - B), axis=-1)
     else:
@@ -86,6 +85,13 @@ def bumped(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return smooth, ridged / np.linalg.norm(ridged, axis=-1, keepdims=True)
 
 
+def off_surface_mm(points: np.ndarray) -> np.ndarray:
+    """Distance from the drawn finger as it lies in the picture, for points near to it."""
+    x, y, z = np.moveaxis(points - np.array([0.0, 2.0, 0.0]), -1, 0)
+    ellipsoid = (x / A) ** 2 + (np.maximum(y, 0) / CAP) ** 2 + ((z - TOP + B) / B) ** 2
+    return (np.sqrt(ellipsoid) - 1.0) * 7.0
+
+
 def shaded(points: np.ndarray, lights: list[tuple[np.ndarray, float]]) -> np.ndarray:
     smooth, normals = bumped(points)
     total = np.zeros(points.shape[:-1])
@@ -106,7 +112,7 @@ def image_of(position: np.ndarray, name: str) -> np.ndarray:
 
 def on_rays(start: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points (..., 3) of the finger on rays, and which rays meet it."""
-    found, hit = np.zeros(way.shape), np.zeros(way.shape[:-1], dtype=bool)
+    met, hit = np.zeros(way.shape), np.zeros(way.shape[:-1], dtype=bool)
     for cap in (0.0, 1.0 / CAP):
         scale = np.array([1.0 / A, cap, 1.0 / B])
         p, d = (start - [0.0, 0.0, TOP - B]) * scale, way * scale
@@ -114,22 +120,19 @@ def on_rays(start: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         root = b * b - a * c
         points = start + ((-b - np.sqrt(np.maximum(root, 0.0))) / a)[..., None] * way
         here = (root > 0) & ((points[..., 1] >= 0) == (cap > 0))
-        found[here], hit = points[here], hit | here
-    return found, hit
+        met[here], hit = points[here], hit | here
+    return met, hit
 
 
 def perspective(
     names: tuple[str, ...] = ("left", "right"),
 ) -> tuple[Capture, dict[str, np.ndarray]]:
     """As :func:`capture`, under a camera 140 mm above the finger plane."""
-    drawn = rig(names)
-    focal = PX * 140.0
-    matrix = np.array(
-        [[focal, 0.0, (SIZE[1] - 1) / 2], [0.0, focal, (SIZE[0] - 1) / 2], [0.0, 0.0, 1.0]]
-    )
-    made = replace(drawn, camera=Camera(PX, SIZE, 140.0, "perspective", matrix))
-    x = (np.arange(SIZE[1]) - (SIZE[1] - 1) / 2) / PX
-    y = ((SIZE[0] - 1) / 2 - np.arange(SIZE[0])) / PX
+    focal, (row, column) = PX * 140.0, (np.array(SIZE) - 1) / 2
+    matrix = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])
+    near = replace(rig(names), camera=Camera(PX, SIZE, 140.0, "perspective", matrix))
+    x = (np.arange(SIZE[1]) - column) / PX
+    y = (row - np.arange(SIZE[0])) / PX
     way = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -140.0), axis=-1)
     start = np.array([0.0, -2.0, 140.0])
     views = {"front": (*on_rays(start, way), np.abs(x)[None] < 12.0, 1.0)}
@@ -138,12 +141,11 @@ def perspective(
         turned = np.stack([sign * way[..., 2], way[..., 1], sign * way[..., 0]], axis=-1)
         points, met = on_rays(image_of(start, name), turned)
         views[name] = (points, met, sign * x[None] > 13.0, 0.8)
-    return _photographed(made, views, names)
+    return _photographed(near, views, names)
 
 
 def capture(names: tuple[str, ...] = ("left", "right")) -> tuple[Capture, dict[str, np.ndarray]]:
     """The capture, and masks by view."""
-    made = rig(names)
     x = (np.arange(SIZE[1]) - (SIZE[1] - 1) / 2) / PX
     y = ((SIZE[0] - 1) / 2 - np.arange(SIZE[0])) / PX
     x, y = np.meshgrid(x, y - 2.0)
@@ -153,24 +155,24 @@ def capture(names: tuple[str, ...] = ("left", "right")) -> tuple[Capture, dict[s
         points, met = on_finger(sign * x - LEAN, y, "+x" if sign > 0 else "-x")
         inside = (sign * x > 14.0) & (sign * x < 36.0) & (np.abs(y + 2.0) < 14.0)
         views[name] = (points, met, inside, 0.8)
-    return _photographed(made, views, names)
+    return _photographed(rig(names), views, names)
 
 
 def _photographed(
-    made: Rig, views: dict, names: tuple[str, ...]
+    rig: Rig, views: dict, names: tuple[str, ...]
 ) -> tuple[Capture, dict[str, np.ndarray]]:
     shift = np.array([0.0, 2.0, 0.0])  # the finger lies 2 mm further up in the picture
     masks, frames = {}, np.zeros((7, *SIZE))
     for name, (points, met, inside, strength) in views.items():
         mask = met & inside
         masks[name] = mask
-        for k, led in enumerate(made.leds):
+        for k, led in enumerate(rig.leds):
             position = np.array(led.position_mm) - shift
-            lights = [(position, 1.0), *((image_of(position, other), 0.8) for other in names)]
+            lights = [(position, 1.0), *((image_of(position, mirror), 0.8) for mirror in names)]
             frames[k][mask] = strength * shaded(points[mask], lights)
     pixels = np.round(60000 * frames / frames.max()).astype(np.uint16)[..., None]
     band = Band("white", pixels, tuple((k,) for k in range(7)), np.ones(7), np.zeros(7))
-    return Capture(made, {"white": band}, material="opaque"), masks
+    return Capture(rig, {"white": band}, material="opaque"), masks
 
 
 def body_between_mirrors(

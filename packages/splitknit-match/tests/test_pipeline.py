@@ -1,11 +1,11 @@
-"""The recipe as a whole, on a small simulated finger: what it keeps, where it puts it, and what it
-says about it."""
+"""The whole pipeline on a small simulated finger: fields, frames, meshes, facts and settings."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -66,9 +66,8 @@ def test_results_lie_on_the_input_grid(
         np.testing.assert_array_equal(np.isfinite(field), result.mask)
     assert (result.uncertainty_um is None) == (preset != "metric")
     inside = result.mask
-    np.testing.assert_allclose(
-        (result.ridge_mm + result.shape_mm)[inside], result.height_mm[inside], atol=1e-4
-    )
+    height_mm = result.ridge_mm + result.shape_mm
+    np.testing.assert_allclose(height_mm[inside], result.height_mm[inside], atol=1e-4)
     expected = normals_from_gradients(*height_gradients(result.height_mm, result.pitch_mm))
     np.testing.assert_allclose(result.normals[inside], expected[inside], atol=1e-5)
     assert not result.normals[~inside].any()
@@ -88,9 +87,7 @@ def test_the_networks_show_the_ridges_of_a_coarse_camera(
     capture: Capture, results: dict[str, Reconstruction]
 ) -> None:
     """At 12.9 pixels a millimetre both networks run, on a grid twice as fine."""
-    fine, truth = simulate_capture(
-        3, "whorl", TwinSettings(scale=0.17, pose=FingerPose(insertion_mm=28.0, yaw_rad=0.1))
-    )
+    fine, truth = simulate_capture(3, "whorl", TwinSettings(scale=0.17, pose=_POSE))
     result = reconstruct(fine)
     assert result.facts["optics"]["relief_by"] == "network"
     assert not any("network" in warning for warning in result.warnings)
@@ -98,8 +95,8 @@ def test_the_networks_show_the_ridges_of_a_coarse_camera(
 
 
 def as_accurate(name: str, result: Reconstruction, truth: Truth) -> None:
-    """As good as stored, within three standard deviations and 1 %, by which other versions of
-    packages may differ."""
+    """As good as stored, within three standard deviations and 1 % for other versions of
+    packages."""
     figures = compare(result, truth).figures
     assert figures["mask_on_finger"] > 0.99
     (rms, rms_spread), (correlation, correlation_spread), (gain, gain_spread) = FIGURES[name]
@@ -108,31 +105,37 @@ def as_accurate(name: str, result: Reconstruction, truth: Truth) -> None:
     assert figures["ridge_gain"] == pytest.approx(gain, abs=0.01 * gain + 3 * gain_spread)
 
 
-def test_what_the_presets_say_of_themselves(
-    results: dict[str, Reconstruction], capture: Capture
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_result_states_how_it_was_computed(
+    results: dict[str, Reconstruction], preset: str
 ) -> None:
-    for preset, result in results.items():
-        assert ("direct light by the network" in result.facts["separation"]) == (
-            preset in ("pr", "pr-split", "snk")
-        )
-        # a sixth of the full scale is too coarse for the network
-        assert any("the network of the relief needs" in words for words in result.warnings) == (
-            preset == "metric"
-        )
-        assert result.facts["shape_source"] == ("nir" if preset in ("metric", "snk") else "white")
-        assert result.facts["mask"] == "found"
-        assert result.settings == asdict(preset_settings(preset))
-        assert result.hashes == capture.hashes
-        assert len(result.hashes) == 14 + 2 + 2  # images, ambient, two documents
-        # what others have done before is not done again
-        assert {"surface", "result"} <= set(result.timings_s)
-        assert all(seconds >= 0 for seconds in result.timings_s.values())
-        assert set(result.quality) == {"white", "nir"}
-        assert len(result.quality["nir"]["led_relative"]) == 7
+    result = results[preset]
+    direct = "direct light by the network" in result.facts["separation"]
+    assert direct == (preset in ("pr", "pr-split", "snk"))
+    # a sixth of the full scale is too coarse for the network
+    coarse = any("the network of the relief needs" in words for words in result.warnings)
+    assert coarse == (preset == "metric")
+    assert result.facts["shape_source"] == ("nir" if preset in ("metric", "snk") else "white")
+    assert result.facts["mask"] == "found"
+    assert result.settings == asdict(preset_settings(preset))
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_result_states_its_inputs_times_and_light(
+    results: dict[str, Reconstruction], capture: Capture, preset: str
+) -> None:
+    result = results[preset]
+    assert result.hashes == capture.hashes
+    assert len(result.hashes) == 14 + 2 + 2  # images, ambient, two documents
+    # earlier steps are taken from the shared memory
+    assert {"surface", "result"} <= set(result.timings_s)
+    assert all(seconds >= 0 for seconds in result.timings_s.values())
+    assert set(result.quality) == {"white", "nir"}
+    assert len(result.quality["nir"]["led_relative"]) == 7
 
 
 @pytest.mark.slow
-def test_progress_only_grows(capture: Capture) -> None:
+def test_progress_never_falls(capture: Capture) -> None:
     fractions: list[float] = []
     reconstruct(capture, "snk", progress=lambda _, fraction: fractions.append(fraction))
     assert fractions == sorted(fractions)
@@ -153,9 +156,8 @@ def test_the_phalange_ends_at_the_crease(
     (left, upper), (right, lower) = result.facts["crease_line"]
     columns = np.arange(int(left) + 5, int(right) - 5)
     ends = np.array([np.flatnonzero(result.mask[:, column]).max() for column in columns])
-    assert np.polyfit(columns, ends, 1)[0] == pytest.approx(
-        -np.tan(np.deg2rad(result.facts["yaw_deg"])), abs=0.01
-    )
+    slope = -np.tan(np.deg2rad(result.facts["yaw_deg"]))
+    assert np.polyfit(columns, ends, 1)[0] == pytest.approx(slope, abs=0.01)
     # straight across, at the crease's middle
     assert ends.mean() == pytest.approx((upper + lower) / 2, abs=1.5)
     below = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]][0] > ends.min()
@@ -163,12 +165,11 @@ def test_the_phalange_ends_at_the_crease(
     assert lost.sum() < 0.02 * result.mask.sum()
 
 
-def test_upright_is_tip_up(results: dict[str, Reconstruction]) -> None:
+def test_the_upright_frame_has_the_tip_up(results: dict[str, Reconstruction]) -> None:
     result = results["ea"]
     assert abs(np.linalg.det(result.input_from_upright) - 1) < 1e-9  # turned and moved, not scaled
-    upright = (
-        warp(result.mask.astype(np.float32), result.input_from_upright, result.upright_size) > 0.5
-    )
+    mask = result.mask.astype(np.float32)
+    upright = warp(mask, result.input_from_upright, result.upright_size) > 0.5
     assert upright.sum() == pytest.approx(result.mask.sum(), rel=0.01)  # nothing is cut off
     widths = upright.sum(axis=1)
     rows = np.flatnonzero(widths)
@@ -208,10 +209,8 @@ def test_a_turned_capture_gives_the_turned_surface(
     expected = results["snk"]
     mask = np.rot90(expected.mask, quarter_turns)
     assert (result.mask & mask).sum() > 0.995 * (result.mask | mask).sum()
-    difference = (result.height_mm - np.rot90(expected.height_mm, quarter_turns))[
-        result.mask & mask
-    ]
-    assert difference.std() < 0.03
+    difference = result.height_mm - np.rot90(expected.height_mm, quarter_turns)
+    assert difference[result.mask & mask].std() < 0.03
     turn = result.facts["yaw_deg"] - expected.facts["yaw_deg"]
     assert abs((turn - tip_deg + 180) % 360 - 180) < 0.5
     assert result.upright_size == pytest.approx(expected.upright_size, abs=4)
@@ -254,9 +253,9 @@ def test_a_given_mask_is_used_as_it_is(capture: Capture, truth: Truth) -> None:
 
 
 def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, Any]:
-    one, two = flatten(asdict(first)), flatten(asdict(second))
-    assert one.keys() == two.keys()
-    return {name: two[name] for name in one if one[name] != two[name]}
+    before, after = flatten(asdict(first)), flatten(asdict(second))
+    assert before.keys() == after.keys()
+    return {name: after[name] for name in before if before[name] != after[name]}
 
 
 @pytest.mark.parametrize(
@@ -287,19 +286,17 @@ def test_one_setting_changes_one_thing(
 
 
 @pytest.mark.slow
-def test_whole_settings_are_taken_too(capture: Capture) -> None:
+def test_whole_settings_replace_those_of_the_preset(capture: Capture) -> None:
     chosen = replace(preset_settings("ea"), cut_at_crease=False)
     result = reconstruct(capture, "ea", chosen)
     assert (result.settings, result.preset) == (asdict(chosen), "ea, changed")
 
 
-def test_a_result_is_named_after_what_was_run() -> None:
+def test_a_result_is_named_after_its_settings() -> None:
     for name in PRESETS:
-        assert chosen_settings("metric", preset_settings(name)) == (name, PRESETS[name])
-        assert (
-            chosen_settings("metric", replace(preset_settings(name), top_mm=0.0))[1]
-            == PRESETS[name]
-        )
+        settings = preset_settings(name)
+        assert chosen_settings("metric", settings) == (name, PRESETS[name])
+        assert chosen_settings("metric", replace(settings, top_mm=0.0))[1] == PRESETS[name]
     assert chosen_settings("metric", replace(PRESETS["snk"], top_mm=1.0))[0] == "snk, changed"
     assert chosen_settings("zheng", replace(PRESETS["zheng"], top_mm=1.0))[0] == "zheng, changed"
     assert chosen_settings("snk", {"top_mm": 1.0})[0] == "snk, changed"
@@ -320,33 +317,29 @@ def test_the_thesis_cases_differ_as_the_thesis_says() -> None:
 
 
 @pytest.mark.parametrize("preset", ["ea", "pr"])
-def test_what_is_not_split_is_matched_by_its_height(
+def test_a_surface_that_is_not_split_is_matched_by_its_height(
     results: dict[str, Reconstruction], preset: str, tmp_path: Path
 ) -> None:
     unsplit, split = results[preset], results[f"{preset}-split"]
-    assert unsplit.whole and not split.whole
+    assert unsplit.whole
+    assert not split.whole
     np.testing.assert_array_equal(unsplit.height_mm, split.height_mm)
     inside = unsplit.mask
-    # its slow part, not nothing
+    # the shape is the smooth part of the heights
     assert np.abs(unsplit.shape_mm - unsplit.height_mm)[inside].max() < 1
     assert 0.005 < np.std(unsplit.ridge_mm[inside]) < 0.1
     unsplit.save(tmp_path / "result")
     kept = read_result(tmp_path / "result")
     assert kept.whole
-    of_heights = surface_images(
-        replace(surface_of(split), ridge_mm=unsplit.ridge_mm + unsplit.shape_mm)
-    )
-    for result in (
-        surface_of(unsplit),
-        surface_of(kept),
-        read_surface(tmp_path / "result" / "height.npz"),
-    ):
-        np.testing.assert_array_equal(
-            surface_images(result).channels["relief"], of_heights.channels["relief"]
-        )
+    heights = replace(surface_of(split), ridge_mm=unsplit.ridge_mm + unsplit.shape_mm)
+    of_heights = surface_images(heights).channels["relief"]
+    from_file = read_surface(tmp_path / "result" / "height.npz")
+    for surface in (surface_of(unsplit), surface_of(kept), from_file):
+        relief = surface_images(surface).channels["relief"]
+        np.testing.assert_array_equal(relief, of_heights)
     relief = surface_images(surface_of(split)).channels["relief"]
-    assert np.corrcoef(relief.ravel(), of_heights.channels["relief"].ravel())[0, 1] < 0.5
-    if preset == "pr":  # what SnK adds its shape to
+    assert np.corrcoef(relief.ravel(), of_heights.ravel())[0, 1] < 0.5
+    if preset == "pr":  # the relief of SnK too
         np.testing.assert_array_equal(split.ridge_mm, results["snk"].ridge_mm)
 
 
@@ -366,31 +359,26 @@ def test_cases_that_share_a_memory_are_what_they_are_alone(
     capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     results = {preset: reconstruct(capture, preset) for preset in PRESETS}
-    asked: list[int] = []
-    network = thesis.direct_light
-    monkeypatch.setattr(
-        thesis, "direct_light", lambda *given: (asked.append(1), network(*given))[1]
-    )
+    network = Mock(wraps=thesis.direct_light)
+    monkeypatch.setattr(thesis, "direct_light", network)
     memory = Memory(capture)
     for preset, alone in results.items():
         shared = reconstruct(capture, preset, memory=memory)
         for name in ("height_mm", "ridge_mm", "shape_mm", "normals", "albedo", "mask"):
-            np.testing.assert_array_equal(
-                getattr(shared, name), getattr(alone, name), err_msg=f"{preset} {name}"
-            )
-        assert shared.warnings == alone.warnings and shared.quality == alone.quality
-    assert len(asked) == 1  # snk, pr and pr-split share their direct light
-    # other settings of a stage that the slopes follow from are not mistaken for the same
+            fields = getattr(shared, name), getattr(alone, name)
+            np.testing.assert_array_equal(*fields, err_msg=f"{preset} {name}")
+        assert shared.warnings == alone.warnings
+        assert shared.quality == alone.quality
+    assert network.call_count == 1  # snk, pr and pr-split share their direct light
+    # other settings of an earlier stage are not taken for the same
     coarse = {"enhance.cells.tiles": 16}
-    np.testing.assert_array_equal(
-        reconstruct(capture, "snk", coarse, memory=memory).ridge_mm,
-        reconstruct(capture, "snk", coarse).ridge_mm,
-    )
+    shared = reconstruct(capture, "snk", coarse, memory=memory)
+    np.testing.assert_array_equal(shared.ridge_mm, reconstruct(capture, "snk", coarse).ridge_mm)
     with pytest.raises(BadInput, match="another"):
         reconstruct(replace(capture), "ea", memory=memory)
 
 
-def test_what_is_refused(capture: Capture) -> None:
+def test_unknown_presets_settings_and_bands_are_refused(capture: Capture) -> None:
     with pytest.raises(BadInput, match=r"no preset 'best'; known are metric, snk, pr, ea"):
         reconstruct(capture, "best")
     with pytest.raises(BadInput, match="no band 'white'"):
@@ -399,20 +387,17 @@ def test_what_is_refused(capture: Capture) -> None:
         reconstruct(capture, "snk", {"knit.glue": 1})
 
 
-def lambertian_dome(px_per_mm: float = 12.0) -> tuple[Capture, np.ndarray]:
-    """A matt dome 11 mm right of the picture's middle under four near lights; and its height in
-    mm."""
-    camera = Camera(px_per_mm, (240, 440))
+def lambertian_dome() -> tuple[Capture, np.ndarray]:
+    """A matt dome 11 mm right of the picture's middle under four near lights, and its height."""
+    camera = Camera(12.0, (240, 440))
     view = view_of(camera)
     x, y = np.meshgrid(view.x_mm - 11.0, view.y_mm)
     inside = x**2 + y**2 < 8.0**2
     height = np.where(inside, np.sqrt(np.maximum(12.0**2 - x**2 - y**2, 0.0)) - 11.0, 0.0)
     points = np.stack([x + 11.0, y, height], axis=-1)
     normals = np.stack([x, y, height + 11.0], axis=-1) / 12.0
-    leds = [
-        Led("white", position_mm=place)
-        for place in ((50, 0, 90), (0, 50, 90), (-50, 0, 90), (0, -50, 90))
-    ]
+    places = (50, 0, 90), (0, 50, 90), (-50, 0, 90), (0, -50, 90)
+    leds = tuple(Led("white", position_mm=place) for place in places)
     images = []
     for led in leds:
         towards = np.array(led.position_mm) - points
@@ -420,18 +405,16 @@ def lambertian_dome(px_per_mm: float = 12.0) -> tuple[Capture, np.ndarray]:
         images.append((normals * towards).sum(axis=-1) / distance**3 * inside)
     pixels = np.round(np.stack(images) / np.max(images) * 60000).astype(np.uint16)[..., None]
     band = Band("white", pixels, tuple((k,) for k in range(4)), np.ones(4), np.zeros(4))
-    return Capture(
-        Rig(camera, tuple(leds)), {"white": band}, material="opaque", mask=inside
-    ), height
+    capture = Capture(Rig(camera, leds), {"white": band}, material="opaque", mask=inside)
+    return capture, height
 
 
-def test_near_lights_on_a_matt_dome_beside_the_middle() -> None:
-    """To a micrometre, as nothing is noisy; the lights must be placed against the picture, not the
+def test_a_matt_dome_beside_the_middle_is_measured_under_near_lights() -> None:
+    """To a micrometre without noise; the lights must be placed against the picture, not the
     window."""
     capture, height = lambertian_dome()
-    assert capture.mask is not None
     result = reconstruct(capture, "metric", {"metric.plane_mm": float(height[capture.mask].mean())})
     error = (result.height_mm - height)[capture.mask]
     assert error.std() < 0.001
     far = (reconstruct(capture, "ea").height_mm - height)[capture.mask]
-    assert far.std() > 0.1  # what taking the lights for distant ones costs here
+    assert far.std() > 0.1  # `ea` takes the lights for distant

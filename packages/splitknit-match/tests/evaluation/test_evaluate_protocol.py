@@ -1,4 +1,4 @@
-"""The thesis's protocol, systems paired, and what a set of scores must be."""
+"""The thesis's protocol, pairing of systems, checks of a set of scores."""
 
 from __future__ import annotations
 
@@ -31,9 +31,8 @@ def test_the_thesis_has_six_pairs_of_sessions() -> None:
     assert (int(pairs.genuine.sum()), int((~pairs.genuine).sum())) == (1020, 172_380)
     assert (session[pairs.a] < session[pairs.b]).all()
     assert len(set(zip(pairs.a.tolist(), pairs.b.tolist(), strict=True))) == pairs.a.size
-    averaged = average_sessions(
-        scores_of_comparisons(pairs, np.zeros(pairs.a.size), finger, session)
-    )
+    scores = scores_of_comparisons(pairs, np.zeros(pairs.a.size), finger, session)
+    averaged = average_sessions(scores)
     assert (int(averaged.label.sum()), int((~averaged.label).sum())) == (170, 28_730)
 
 
@@ -42,20 +41,21 @@ def test_impostors_of_one_session_are_compared_once() -> None:
     plain, every = comparisons(finger, session), comparisons(finger, session, within=True)
     assert every.a.size == plain.a.size + 6
     assert every.genuine.sum() == plain.genuine.sum()
-    found = {frozenset(pair) for pair in zip(every.a.tolist(), every.b.tolist(), strict=True)}
-    assert len(found) == every.a.size == 6 * 5 // 2  # all pairs of six captures
+    unordered = {frozenset(pair) for pair in zip(every.a.tolist(), every.b.tolist(), strict=True)}
+    assert len(unordered) == every.a.size == 6 * 5 // 2  # all pairs of six captures
     scores = scores_of_comparisons(every, np.arange(15.0), finger, session)
     alone = scores_of_comparisons(plain, np.arange(9.0), finger, session)
     assert np.array_equal(average_sessions(scores).score, average_sessions(alone).score)
 
 
-def test_a_finger_that_is_missing_in_a_session() -> None:
+def test_a_finger_that_is_missing_in_a_session_is_compared_with_the_others() -> None:
     pairs = comparisons(["x", "y", "x"], [1, 1, 2])
-    assert (
-        pairs.a.tolist() == [0, 1]
-        and pairs.b.tolist() == [2, 2]
-        and pairs.genuine.tolist() == [True, False]
-    )
+    assert pairs.a.tolist() == [0, 1]
+    assert pairs.b.tolist() == [2, 2]
+    assert pairs.genuine.tolist() == [True, False]
+
+
+def test_one_capture_a_finger_and_session_and_two_sessions_are_needed() -> None:
     with pytest.raises(BadInput, match="two captures"):
         comparisons(["x", "x"], [1, 1])
     with pytest.raises(BadInput, match="two sessions"):
@@ -63,47 +63,44 @@ def test_a_finger_that_is_missing_in_a_session() -> None:
 
 
 def test_two_fingers_are_drawn_once_for_all_sessions() -> None:
-    asked: list[tuple[str, str]] = []
+    asked: list[set[str]] = []
 
-    def drawn(one: str, other: str) -> bool:
-        asked.append((one, other))
-        return {one, other} == {"x", "z"}
+    def drawn(finger_a: str, finger_b: str) -> bool:
+        asked.append({finger_a, finger_b})
+        return asked[-1] == {"x", "z"}
 
-    finger, session = ["x", "y", "z"] * 3, [k for k in (1, 2, 3) for _ in range(3)]
+    finger, session = ["x", "y", "z"] * 3, np.repeat([1, 2, 3], 3)
     few, every = comparisons(finger, session, drawn), comparisons(finger, session)
     assert len(asked) == 3
     kept = [
         finger[a] == finger[b] or "y" not in (finger[a], finger[b])
         for a, b in zip(every.a, every.b, strict=True)
     ]
-    assert few.a.tolist() == every.a[kept].tolist() and few.b.tolist() == every.b[kept].tolist()
-    assert few.genuine.tolist() == every.genuine[kept].tolist()
+    for name in ("a", "b", "genuine"):
+        assert getattr(few, name).tolist() == getattr(every, name)[kept].tolist()
 
 
-def test_averages_by_hand() -> None:
+def test_scores_of_two_fingers_are_averaged_over_pairs_of_sessions() -> None:
     # session pairs (1,2), (1,3), (2,3), each xx, xy, yx, yy
     averaged = average_sessions(small())
-    assert averaged.finger is not None and averaged.subject is not None
-    got = {
-        tuple(averaged.finger.names[k] for k in codes): value
-        for codes, value in zip(averaged.finger.codes, averaged.score, strict=True)
-    }
-    assert got == {("x", "x"): 4.0, ("x", "y"): 5.0, ("y", "x"): 6.0, ("y", "y"): 7.0}
+    assert averaged.subject is not None
+    names = np.array(averaged.finger.names)[averaged.finger.codes]
+    by_fingers = dict(zip(map("".join, names), averaged.score.tolist(), strict=True))
+    assert by_fingers == {"xx": 4.0, "xy": 5.0, "yx": 6.0, "yy": 7.0}
     assert averaged.label.tolist() == [True, False, False, True]
     with pytest.raises(BadInput, match="sessions are needed"):
         average_sessions(replace(small(), session=None))
 
 
-def test_the_earlier_session_comes_first_whatever_the_file_says() -> None:
+def test_averages_do_not_depend_on_which_session_stands_first() -> None:
     scores = small()
-    assert scores.finger is not None and scores.session is not None
     turn = np.arange(12) % 2 == 0
 
     def turned(ids: Ids) -> Ids:
         return Ids(np.where(turn[:, None], ids.codes[:, ::-1], ids.codes), ids.names)
 
-    other = replace(scores, finger=turned(scores.finger), session=turned(scores.session))
-    np.testing.assert_array_equal(average_sessions(other).score, average_sessions(scores).score)
+    mixed = replace(scores, finger=turned(scores.finger), session=turned(scores.session))
+    np.testing.assert_array_equal(average_sessions(mixed).score, average_sessions(scores).score)
 
 
 def test_failures_are_left_out_of_an_average() -> None:
@@ -115,32 +112,27 @@ def test_failures_are_left_out_of_an_average() -> None:
 def test_systems_are_paired_by_their_ids() -> None:
     first = small()
     second = replace(first.taken(np.random.default_rng(0).permutation(12)), name="other")
-    assert second.finger is not None
     # other codes, same names
     renamed = replace(second, finger=Ids(1 - second.finger.codes, second.finger.names[::-1]))
-    for other in (second, renamed):
-        paired = pair_up(first, other)
+    for system in (second, renamed):
+        paired = pair_up(first, system)
         assert paired.name == "other"
         np.testing.assert_array_equal(paired.score, first.score)
     stranger = replace(second, finger=Ids(second.finger.codes, ("x", "q")))
-    for other in (stranger, first.taken(np.arange(11))):
-        with pytest.raises(
-            BadInput, match=r"same pairs: .* lacks, or has more than once, .*finger [xy]"
-        ):
-            pair_up(first, other)
+    words = r"same pairs: .* lacks, or has more than once, .*finger [xy]"
+    for system in (stranger, first.taken(np.arange(11))):
+        with pytest.raises(BadInput, match=words):
+            pair_up(first, system)
 
 
 def test_systems_without_ids_are_paired_by_place() -> None:
-    first = Scores(np.array([True, False, False]), np.array([3.0, 1.0, 2.0]))
-    second = Scores(np.array([True, False, False]), np.array([5.0, 0.0, 1.0]))
-    twice = ids_of(["x", "x", "x"], ["x", "y", "y"])  # a pair that is named twice has but its place
-    for one, other in (
-        (first, second),
-        (replace(first, finger=twice), replace(second, finger=twice)),
-    ):
-        assert pair_up(one, other) is other
+    label, twice = np.array([True, False, False]), ids_of(["x", "x", "x"], ["x", "y", "y"])
+    for finger in (None, twice):  # two pairs of the same fingers differ by their place alone
+        first = Scores(label, np.array([3.0, 1.0, 2.0]), finger=finger)
+        second = Scores(label, np.array([5.0, 0.0, 1.0]), finger=finger)
+        assert pair_up(first, second) is second
         with pytest.raises(BadInput, match="same pairs"):
-            pair_up(one, other.taken([1, 0, 2]))
+            pair_up(first, second.taken([1, 0, 2]))
 
 
 @pytest.mark.parametrize(
@@ -152,20 +144,21 @@ def test_systems_without_ids_are_paired_by_place() -> None:
         ([True, False], [np.nan, 2.0], "all 1 are failures"),
     ],
 )
-def test_bad_sets_of_scores(label: list[bool], score: list[float], words: str) -> None:
+def test_scores_need_both_classes_and_finite_values(
+    label: list[bool], score: list[float], words: str
+) -> None:
     with pytest.raises(BadInput, match=words):
         Scores(np.array(label), np.array(score))
 
 
-def test_ids_that_contradict_labels() -> None:
+def test_ids_that_contradict_labels_are_refused() -> None:
     label, score = np.array([True, False]), np.array([1.0, 0.0])
-    Scores(
-        label, score, finger=ids_of(["x", "x"], ["x", "y"]), subject=ids_of(["s", "s"], ["s", "s"])
-    )
-    for finger, subject in (
-        (ids_of(["x", "x"], ["y", "y"]), None),
-        (ids_of(["x", "x"], ["x", "x"]), None),
-        (None, ids_of(["s", "s"], ["t", "s"])),
+    subject = ids_of(["s", "s"], ["s", "s"])
+    Scores(label, score, finger=ids_of(["x", "x"], ["x", "y"]), subject=subject)
+    for ids in (
+        {"finger": ids_of(["x", "x"], ["y", "y"])},
+        {"finger": ids_of(["x", "x"], ["x", "x"])},
+        {"subject": ids_of(["s", "s"], ["t", "s"])},
     ):
         with pytest.raises(BadInput, match="contradict"):
-            Scores(label, score, finger=finger, subject=subject)
+            Scores(label, score, **ids)

@@ -55,9 +55,8 @@ def shared(name: str) -> tuple[np.ndarray, np.ndarray]:
     if name == "real":  # no ties
         return np.round(2.4 + 1.1 * normal(1500, 0.1), 9), np.round(normal(10_000, 0.7), 9)
     if name == "whole":  # like bozorth3: whole numbers, many ties
-        return np.floor(np.exp(3.1 + 0.8 * normal(280, 0.3))), np.floor(
-            np.exp(1.7 + 0.5 * normal(3619, 0.2))
-        )
+        genuine, impostor = 3.1 + 0.8 * normal(280, 0.3), 1.7 + 0.5 * normal(3619, 0.2)
+        return np.floor(np.exp(genuine)), np.floor(np.exp(impostor))
     return 40 + normal(200, 0.5), normal(2000, 0.5)  # no overlap
 
 
@@ -72,6 +71,6 @@ def ours(genuine: np.ndarray, impostor: np.ndarray) -> dict[str, float]:
 
 @pytest.mark.parametrize("name", list(RECORDED))
 def test_our_figures_are_pyeers(name: str) -> None:
-    found = ours(*shared(name))
+    figures = ours(*shared(name))
     for key, value in RECORDED[name].items():
-        assert found[key] == pytest.approx(value, rel=1e-9), key
+        assert figures[key] == pytest.approx(value, rel=1e-9), key

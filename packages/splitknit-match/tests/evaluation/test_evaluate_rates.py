@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -19,14 +21,12 @@ whole = st.lists(st.integers(-6, 6).map(float), min_size=1, max_size=14)
 """Many ties."""
 real = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=14)
 either = st.one_of(st.tuples(whole, whole), st.tuples(real, real))
-missing = st.tuples(
-    st.lists(
-        st.one_of(st.integers(-4, 4).map(float), st.just(float("nan"))), min_size=1, max_size=12
-    ),
-    st.lists(
-        st.one_of(st.integers(-4, 4).map(float), st.just(float("nan"))), min_size=1, max_size=12
-    ),
-).filter(lambda both: not any(np.isnan(side).all() for side in both))
+whole_or_failed = st.one_of(st.integers(-4, 4).map(float), st.just(float("nan")))
+some_failed = st.lists(whole_or_failed, min_size=1, max_size=12)
+missing = st.tuples(some_failed, some_failed).filter(
+    lambda both: not any(np.isnan(side).all() for side in both)
+)
+Sides = tuple[list[float], list[float]]
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ missing = st.tuples(
         (0.0001, 0.25, 0.0, 6.0),
     ],
 )
-def test_gar_at_far_by_hand_with_ties(
+def test_gar_at_far_with_ties_is_that_counted_by_hand(
     target: float, gar: float, far: float, threshold: float
 ) -> None:
     point = roc(GENUINE, IMPOSTOR).at_far(target)
@@ -68,7 +68,7 @@ def test_nobody_is_accepted_where_impostors_score_highest() -> None:
     assert (point.gar, point.far, point.threshold) == (0.0, 0.0, None)
 
 
-def test_rule_of_three() -> None:
+def test_no_error_is_bounded_by_the_rule_of_three() -> None:
     assert error_bound(0.0, 300) == 0.01
     assert error_bound(0.0, 2) == 1.0
     assert roc([1.0], np.zeros(1000)).at_far(0.0001).far_upper == 0.003
@@ -87,133 +87,108 @@ def test_rule_of_three() -> None:
         ([3.0, 4.0, 6.0], [0.0, 1.0, 5.0, 5.0], 5 / 12),
     ],
 )
-def test_equal_error_by_hand(genuine: list[float], impostor: list[float], value: float) -> None:
+def test_equal_error_is_that_counted_by_hand(
+    genuine: list[float], impostor: list[float], value: float
+) -> None:
     assert roc(genuine, impostor).equal_error().value == pytest.approx(value)
 
 
-def test_roc_by_hand() -> None:
-    found = roc([1.0, 2.0], [0.0, 1.0, 1.5])
-    corners = list(zip(found.far.tolist(), found.gar.tolist(), strict=True))
+def test_corners_of_a_roc_are_those_drawn_by_hand() -> None:
+    curve = roc([1.0, 2.0], [0.0, 1.0, 1.5])
+    corners = list(zip(curve.far.tolist(), curve.gar.tolist(), strict=True))
     assert corners == [(0, 0), (0, 0.5), (1 / 3, 0.5), (2 / 3, 1), (1, 1)]
-    assert found.ranked.threshold.tolist() == [np.inf, 2.0, 1.5, 1.0, 0.0]
+    assert curve.ranked.threshold.tolist() == [np.inf, 2.0, 1.5, 1.0, 0.0]
 
 
 @given(either)
-def test_as_by_definition(sides: tuple[list[float], list[float]]) -> None:
-    genuine, impostor = sides
-    assert roc(genuine, impostor).equal_error().value == reference.equal_error(genuine, impostor)
-    assert roc(genuine, impostor).auc() == pytest.approx(reference.auc(genuine, impostor))
+def test_rates_are_those_of_their_definition(sides: Sides) -> None:
+    curve = roc(*sides)
+    assert curve.equal_error().value == reference.equal_error(*sides)
+    assert curve.auc() == pytest.approx(reference.auc(*sides))
     for target in (0.0001, 0.1, 0.25, 1 / 3, 0.5, 1.0):
-        point = roc(genuine, impostor).at_far(target)
-        assert (point.gar, point.far) == reference.gar_at_far(genuine, impostor, target)
+        point = curve.at_far(target)
+        assert (point.gar, point.far) == reference.gar_at_far(*sides, target)
 
 
 @given(missing)
-def test_failures_are_rejections_or_left_out(sides: tuple[list[float], list[float]]) -> None:
-    genuine, impostor = sides
-    assert roc(genuine, impostor).equal_error().value == reference.equal_error(genuine, impostor)
-    made = [[s for s in side if not np.isnan(s)] for side in sides]
-    left_out = roc(genuine, impostor).made().equal_error()
-    assert left_out == roc(*made).equal_error()
+def test_failures_are_rejections_or_left_out(sides: Sides) -> None:
+    compared = [[s for s in side if not np.isnan(s)] for side in sides]
+    every, left_out, alone = roc(*sides), roc(*sides).made(), roc(*compared)
+    assert every.equal_error().value == reference.equal_error(*sides)
+    assert left_out.equal_error() == alone.equal_error()
     for target in (0.1, 0.3, 0.5):
-        point = roc(genuine, impostor).at_far(target)
-        assert (point.gar, point.far) == reference.gar_at_far(genuine, impostor, target)
-        assert roc(genuine, impostor).made().at_far(target) == roc(*made).at_far(target)
-    assert roc(genuine, impostor).auc() == roc(*made).auc()
+        point = every.at_far(target)
+        assert (point.gar, point.far) == reference.gar_at_far(*sides, target)
+        assert left_out.at_far(target) == alone.at_far(target)
+    assert every.auc() == alone.auc()
     # ISO/IEC 19795-1: FAR = FMR (1 - FTA), FRR = FTA + FNMR (1 - FTA)
-    every, some = roc(genuine, impostor), roc(genuine, impostor).made()
-    fractions = [1 - len(few) / len(all_) for few, all_ in zip(made, sides, strict=True)]
-    np.testing.assert_allclose(every.far, some.far * (1 - fractions[1]))
-    np.testing.assert_allclose(
-        1 - every.gar, fractions[0] + (1 - some.gar) * (1 - fractions[0]), atol=1e-12
-    )
+    genuine, impostor = (len(compared[k]) / len(sides[k]) for k in (0, 1))  # 1 - FTA
+    np.testing.assert_allclose(every.far, left_out.far * impostor)
+    frr = 1 - genuine + (1 - left_out.gar) * genuine
+    np.testing.assert_allclose(1 - every.gar, frr, atol=1e-12)
 
 
 @given(either)
-def test_the_roc_rises_and_holds_every_point(sides: tuple[list[float], list[float]]) -> None:
-    genuine, impostor = sides
-    found = roc(genuine, impostor)
-    assert (np.diff(found.far) >= 0).all() and (np.diff(found.gar) >= 0).all()
-    assert (found.far[0], found.gar[0], found.far[-1], found.gar[-1]) == (0, 0, 1, 1)
-    assert (np.diff(found.ranked.threshold) <= 0).all()
-    for t, far, gar in zip(found.ranked.threshold, found.far, found.gar, strict=True):
-        assert far == np.mean(np.array(impostor) >= t) and gar == np.mean(np.array(genuine) >= t)
+def test_the_roc_rises_and_holds_every_point(sides: Sides) -> None:
+    genuine, impostor = map(np.array, sides)
+    curve = roc(genuine, impostor)
+    fars, gars, thresholds = curve.far, curve.gar, curve.ranked.threshold
+    assert (np.diff(fars) >= 0).all()
+    assert (np.diff(gars) >= 0).all()
+    assert (np.diff(thresholds) <= 0).all()
+    assert (fars[0], gars[0], fars[-1], gars[-1]) == (0, 0, 1, 1)
+    np.testing.assert_array_equal(fars, [np.mean(impostor >= t) for t in thresholds])
+    np.testing.assert_array_equal(gars, [np.mean(genuine >= t) for t in thresholds])
     # on a corner, or between two on a line along an axis
-    for _, far, frr in reference.points(genuine, impostor):
+    along_an_axis = (fars[:-1] == fars[1:]) | (gars[:-1] == gars[1:])
+    for _, far, frr in reference.points(*sides):
         x, y = float(far), float(1 - frr)
-        on = (
-            (found.far[:-1] <= x)
-            & (x <= found.far[1:])
-            & (found.gar[:-1] <= y)
-            & (y <= found.gar[1:])
-        )
-        assert (
-            on & ((found.far[:-1] == found.far[1:]) | (found.gar[:-1] == found.gar[1:]))
-        ).any() or ((found.far == x) & (found.gar == y)).any()
+        between = (fars[:-1] <= x) & (x <= fars[1:]) & (gars[:-1] <= y) & (y <= gars[1:])
+        assert (between & along_an_axis).any() or ((fars == x) & (gars == y)).any()
 
 
 @given(st.tuples(whole, whole))
-def test_order_is_all_that_counts(sides: tuple[list[float], list[float]]) -> None:
-    genuine, impostor = map(np.array, sides)
-
-    def bent(s: np.ndarray) -> np.ndarray:
-        return np.exp(s / 3) - 100 * np.exp(-s)
-
-    assert (
-        roc(bent(genuine), bent(impostor)).equal_error().value
-        == roc(genuine, impostor).equal_error().value
+def test_only_the_order_of_scores_counts(sides: Sides) -> None:
+    bent, plain = (
+        roc(*(np.exp(s / 3) - 100 * np.exp(-s) for s in map(np.array, sides))),
+        roc(*sides),
     )
-    assert roc(bent(genuine), bent(impostor)).auc() == roc(genuine, impostor).auc()
-    np.testing.assert_array_equal(
-        roc(bent(genuine), bent(impostor)).gar, roc(genuine, impostor).gar
-    )
-    assert (
-        roc(bent(genuine), bent(impostor)).at_far(0.1).gar == roc(genuine, impostor).at_far(0.1).gar
-    )
+    assert bent.equal_error().value == plain.equal_error().value
+    assert bent.auc() == plain.auc()
+    assert bent.at_far(0.1).gar == plain.at_far(0.1).gar
+    np.testing.assert_array_equal(bent.gar, plain.gar)
 
 
 @given(st.tuples(whole, whole))
-def test_exchanging_the_classes_exchanges_the_errors(
-    sides: tuple[list[float], list[float]],
-) -> None:
+def test_exchanging_the_classes_exchanges_the_errors(sides: Sides) -> None:
     genuine, impostor = map(np.array, sides)
-    assert (
-        roc(-impostor, -genuine).equal_error().value == roc(genuine, impostor).equal_error().value
-    )
-    assert roc(-impostor, -genuine).auc() == pytest.approx(roc(genuine, impostor).auc())
-    assert roc(impostor, genuine).auc() == pytest.approx(1 - roc(genuine, impostor).auc())
-    assert roc(-impostor, -genuine).d_prime() == pytest.approx(
-        roc(genuine, impostor).d_prime(), nan_ok=True
-    )
+    plain, exchanged = roc(genuine, impostor), roc(-impostor, -genuine)
+    assert exchanged.equal_error().value == plain.equal_error().value
+    assert exchanged.auc() == pytest.approx(plain.auc())
+    assert roc(impostor, genuine).auc() == pytest.approx(1 - plain.auc())
+    assert exchanged.d_prime() == pytest.approx(plain.d_prime(), nan_ok=True)
 
 
 @given(st.tuples(whole, whole), st.randoms(use_true_random=False))
-def test_order_of_the_scores_does_not_count(
-    sides: tuple[list[float], list[float]], random: object
-) -> None:
-    genuine, impostor = (list(side) for side in sides)
-    before = roc(genuine, impostor).equal_error(), roc(genuine, impostor).at_far(0.2)
-    random.shuffle(genuine)  # type: ignore[attr-defined]
-    random.shuffle(impostor)  # type: ignore[attr-defined]
-    assert (roc(genuine, impostor).equal_error(), roc(genuine, impostor).at_far(0.2)) == before
+def test_the_sequence_of_the_scores_does_not_count(sides: Sides, random: Random) -> None:
+    shuffled = [random.sample(side, len(side)) for side in sides]
+    assert roc(*shuffled).equal_error() == roc(*sides).equal_error()
+    assert roc(*shuffled).at_far(0.2) == roc(*sides).at_far(0.2)
 
 
 @pytest.mark.parametrize("distance", [0.5, 1.5, 3.0])
-def test_two_normal_distributions(distance: float) -> None:
-    quantiles = (np.arange(40_000) + 0.5) / 40_000
-    impostor = ndtri(quantiles)
-    genuine = impostor[::4] + distance
-    assert roc(genuine, impostor).equal_error().value == pytest.approx(
-        ndtr(-distance / 2), abs=2e-4
-    )
-    assert roc(genuine, impostor).auc() == pytest.approx(ndtr(distance / np.sqrt(2)), abs=1e-4)
-    assert roc(genuine, impostor).d_prime() == pytest.approx(distance, abs=2e-3)
+def test_rates_of_two_normal_distributions_are_those_of_the_formulas(distance: float) -> None:
+    impostor = ndtri((np.arange(40_000) + 0.5) / 40_000)
+    curve = roc(impostor[::4] + distance, impostor)
+    assert curve.equal_error().value == pytest.approx(ndtr(-distance / 2), abs=2e-4)
+    assert curve.auc() == pytest.approx(ndtr(distance / np.sqrt(2)), abs=1e-4)
+    assert curve.d_prime() == pytest.approx(distance, abs=2e-3)
     for target in (0.01, 0.001):
-        expected = ndtr(distance + ndtri(target))
-        assert roc(genuine, impostor).at_far(target).gar == pytest.approx(expected, abs=5e-3)
+        gar = ndtr(distance + ndtri(target))
+        assert curve.at_far(target).gar == pytest.approx(gar, abs=5e-3)
 
 
-def test_d_prime_by_hand() -> None:
+def test_d_prime_is_that_of_its_formula_and_nan_without_spread() -> None:
     assert roc([4.0, 6.0], [0.0, 2.0]).d_prime() == pytest.approx(4.0)
     assert roc([0.0, 2.0], [4.0, 6.0]).d_prime() == pytest.approx(-4.0)
     for sides in (([1.0, 1.0], [1.0]), ([2.0], [1.0]), ([0.1] * 3, [0.3] * 3)):
@@ -229,12 +204,14 @@ def test_d_prime_by_hand() -> None:
         ([1.0], [-np.inf, 2.0], "impostor scores must be finite"),
     ],
 )
-def test_bad_scores(genuine: list[float], impostor: list[float], words: str) -> None:
+def test_empty_or_infinite_scores_are_refused(
+    genuine: list[float], impostor: list[float], words: str
+) -> None:
     with pytest.raises(BadInput, match=words):
         roc(genuine, impostor)
 
 
 @pytest.mark.parametrize("target", [0.0, -0.1, 1.1, float("nan")])
-def test_bad_targets(target: float) -> None:
+def test_targets_that_are_no_rate_are_refused(target: float) -> None:
     with pytest.raises(BadInput, match="target"):
         roc([1.0], [0.0]).at_far(target)

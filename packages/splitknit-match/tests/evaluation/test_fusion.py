@@ -1,4 +1,4 @@
-"""Fusion of scores: what it gives, that it never sees whom it is tested on, and what it refuses."""
+"""Fusion of scores: its gain, folds by subject, missing scores, refusals."""
 
 from __future__ import annotations
 
@@ -17,18 +17,16 @@ from splitknit_match.evaluation.scores import Scores, ids_of
 
 
 def systems(count: int = 3, subjects: int = 30, seed: int = 0, noise: float = 0.6) -> list[Scores]:
-    """Systems of independent errors, two fingers of each subject in two sessions, on scales of
-    their own."""
+    """Systems of independent errors on different scales; two fingers a subject, two sessions."""
     finger = np.tile(np.arange(2 * subjects), 2)
     session = np.repeat([1, 2], 2 * subjects)
     pairs, rng = comparisons(finger, session), np.random.default_rng(seed)
-    found = []
+    built = []
     for k in range(count):
         score = 10.0**k * (pairs.genuine + rng.normal(0, noise, pairs.a.size)) - 5 * k
-        found.append(
-            scores_of_comparisons(pairs, score, finger, session, finger // 2, name=f"s{k}")
-        )
-    return found
+        scores = scores_of_comparisons(pairs, score, finger, session, finger // 2, name=f"s{k}")
+        built.append(scores)
+    return built
 
 
 def separation(scores: Scores) -> float:
@@ -39,11 +37,11 @@ def separation(scores: Scores) -> float:
 def test_three_independent_systems_are_better_than_the_best(method: str) -> None:
     three = systems()
     fused = fuse(three, method).scores
-    best = max(separation(one) for one in three)
-    assert separation(fused) > 1.5 * best  # sqrt(3), less what so few comparisons cost
+    best = max(map(separation, three))
+    assert separation(fused) > 1.5 * best  # sqrt(3) with many comparisons
 
 
-def test_the_trained_one_leaves_a_useless_system_out() -> None:
+def test_trained_fusion_leaves_a_useless_system_out() -> None:
     good, useless = systems(2)
     noise = replace(useless, score=np.random.default_rng(5).normal(size=useless.score.size))
     trained = fuse([good, noise])
@@ -54,27 +52,19 @@ def test_the_trained_one_leaves_a_useless_system_out() -> None:
 
 
 def test_nobody_is_trained_on_who_is_tested_on() -> None:
-    """Spoil all that one subject took part in: only the models that score its fold stay as they
-    were."""
+    """Spoil every score of one subject: only the models that score its fold stay as they were."""
     two = systems(2)
-    assert two[0].subject is not None
-    mine = (two[0].subject.codes == 3).any(axis=1)
-    spoilt = [
-        replace(one, score=np.where(mine, 1e3 * np.sin(np.arange(mine.size)), one.score))
-        for one in two
-    ]
-    plain, other = fuse(two), fuse(spoilt)
-    table = np.stack([one.score for one in two], axis=1)
-    same = {
-        key
-        for key, model in plain.models.items()
-        if np.array_equal(model(table), other.models[key](table))
-    }
-    assert len(plain.models) == 15
-    assert any(same == {key for key in plain.models if fold in key} for fold in range(5))
+    of_subject = (two[0].subject.codes == 3).any(axis=1)
+    table = np.stack([system.score for system in two], axis=1)
+    wrong = 1e3 * np.sin(np.arange(of_subject.size))
+    spoilt = [replace(system, score=np.where(of_subject, wrong, system.score)) for system in two]
+    plain, changed = fuse(two).models, fuse(spoilt).models
+    same = {key for key in plain if np.array_equal(plain[key](table), changed[key](table))}
+    assert len(plain) == 15
+    assert any(same == {key for key in plain if fold in key} for fold in range(5))
 
 
-def test_missing_scores_are_made_up_for_by_the_others() -> None:
+def test_a_system_without_a_score_is_replaced_by_the_rest() -> None:
     two, rng = systems(2), np.random.default_rng(7)
     holes = np.where(rng.random(two[0].score.size) < 0.3, np.nan, two[0].score)
     second = np.where(rng.random(two[0].score.size) < 0.2, np.nan, two[1].score)
@@ -86,8 +76,8 @@ def test_missing_scores_are_made_up_for_by_the_others() -> None:
         assert separation(fused.scores) > separation(broken[0])
 
 
-def test_a_missing_score_can_tell_something() -> None:
-    """Where impostors are gated and genuine pairs are not, the trained fusion learns that."""
+def test_trained_fusion_learns_that_missing_scores_are_impostors() -> None:
+    """A gate rejects impostors alone."""
     two = systems(2, noise=1.5)
     gated = np.where(two[0].label, two[0].score, np.nan)
     gated[np.flatnonzero(~two[0].label)[:400]] = 0.0
@@ -98,7 +88,7 @@ def test_a_missing_score_can_tell_something() -> None:
     assert all(np.diff(model(usual)) < -1 for model in fused.models.values())
 
 
-def test_normalisation_is_as_defined() -> None:
+def test_scores_are_normalised_as_defined() -> None:
     table = np.array([[0.0, 10.0], [1.0, 30.0], [2.0, np.nan], [5.0, 20.0]])
     z = fit_linear(table, np.ones(4, bool))[1](table)
     expected = ((table[0] - [2.0, 20.0]) / [np.sqrt(3.5), np.sqrt(200 / 3)]).mean()
@@ -108,28 +98,28 @@ def test_normalisation_is_as_defined() -> None:
     assert minmax == pytest.approx([0.0, 0.5 * 0.2 + 0.5, 0.4, 0.5 + 0.25])
 
 
-def test_newton_finds_the_least_loss() -> None:
-    """Against a general minimiser on the loss as it is defined."""
+def test_newton_reaches_the_minimum_of_a_general_minimiser() -> None:
     rng = np.random.default_rng(2)
     genuine = np.arange(400) % 5 == 0
-    table = np.stack(
-        [genuine + rng.normal(0, 0.8, 400), 3 * genuine + rng.normal(0, 4, 400)], axis=1
-    )
+    scores = genuine + rng.normal(0, 0.8, 400), 3 * genuine + rng.normal(0, 4, 400)
+    table = np.stack(scores, axis=1)
     table[rng.random(table.shape) < 0.1] = np.nan
     table = table[~np.isnan(table).all(axis=1)]
     genuine = genuine[: len(table)]
     weight, model = fit_logistic(table, genuine)
-    known = ~np.isnan(table)
-    normal = np.where(known, (table - np.nanmean(table, axis=0)) / np.nanstd(table, axis=0), 0)
+    known, mean = ~np.isnan(table), np.nanmean(table, axis=0)
+    normal = np.where(known, (table - mean) / np.nanstd(table, axis=0), 0)
     x, y = np.hstack([normal, ~known, np.ones((len(table), 1))]), np.where(genuine, 1, -1)
     fraction = np.where(genuine, 0.5 / genuine.sum(), 0.5 / (~genuine).sum())
-    loss = lambda w: fraction @ np.logaddexp(0, -y * (x @ w)) + 0.5 * PENALTY * (w[:-1] ** 2).sum()  # noqa: E731
+
+    def loss(w: np.ndarray) -> float:
+        return fraction @ np.logaddexp(0, -y * (x @ w)) + 0.5 * PENALTY * (w[:-1] ** 2).sum()
+
     best = minimize(loss, np.zeros(5), method="BFGS", tol=1e-12)
-    mean = np.nanmean(table, axis=0)
     intercept, *without = model(np.array([mean, [np.nan, mean[1]], [mean[0], np.nan]]))
-    mine = np.concatenate([weight, without - intercept, [intercept]])
-    assert loss(mine) <= best.fun + 1e-9
-    assert mine == pytest.approx(best.x, abs=2e-3)
+    fitted = np.concatenate([weight, without - intercept, [intercept]])
+    assert loss(fitted) <= best.fun + 1e-9
+    assert fitted == pytest.approx(best.x, abs=2e-3)
 
 
 def test_separable_scores_stay_finite() -> None:
@@ -140,30 +130,26 @@ def test_separable_scores_stay_finite() -> None:
 
 def test_other_traits_pair_up_by_subject_and_session() -> None:
     """One finger a subject; the face has no fingers, other sides and another order."""
-    two = systems(2, subjects=30)
-    one = two[0].taken((two[0].finger.codes % 2 == 0).all(axis=1))  # type: ignore[union-attr]
-    order = np.random.default_rng(1).permutation(one.label.size)
-    face = replace(one, finger=None, name="face").taken(order)
-    turned = replace(
-        face, subject=replace(face.subject, codes=face.subject.codes[:, ::-1]),  # type: ignore[type-var]
-        session=replace(face.session, codes=face.session.codes[:, ::-1]),  # type: ignore[type-var]
-    )  # fmt: skip
-    expected = fuse([one, replace(one, name="again")], "linear").scores.score
-    for other in (face, turned):
-        assert np.allclose(fuse([one, other], "linear").scores.score, expected)
+    system = systems(1)[0]
+    finger = system.taken((system.finger.codes % 2 == 0).all(axis=1))
+    order = np.random.default_rng(1).permutation(finger.label.size)
+    face = replace(finger, finger=None, name="face").taken(order)
+    ids = {name: getattr(face, name) for name in ("subject", "session")}
+    turned = {name: replace(side, codes=side.codes[:, ::-1]) for name, side in ids.items()}
+    expected = fuse([finger, replace(finger, name="again")], "linear").scores.score
+    for trait in (face, replace(face, **turned)):
+        assert np.allclose(fuse([finger, trait], "linear").scores.score, expected)
 
 
 def test_the_pair_at_fault_is_named() -> None:
-    one, other = systems(2, subjects=6)
-    fewer = other.taken(np.arange(other.label.size) != 20)
-    again = other.taken(np.append(np.arange(other.label.size), 20))
-    for wrong in (fewer, again):
-        with pytest.raises(
-            BadInput, match="'s1' lacks, or has more than once, finger 1, subject 0, session 1 with"
-        ):
-            fuse([one, wrong])
+    first, second = systems(2, subjects=6)
+    places = np.arange(second.label.size)
+    words = "'s1' lacks, or has more than once, finger 1, subject 0, session 1 with"
+    for taken in (places != 20, np.append(places, 20)):
+        with pytest.raises(BadInput, match=words):
+            fuse([first, second.taken(taken)])
     with pytest.raises(BadInput, match="did not score the same pairs"):
-        fuse([one, replace(other, finger=None)])
+        fuse([first, replace(second, finger=None)])
 
 
 def test_the_order_of_pairs_does_not_matter() -> None:
@@ -173,39 +159,31 @@ def test_the_order_of_pairs_does_not_matter() -> None:
     assert np.array_equal(fuse([two[0], shuffled]).scores.score, fuse(two).scores.score)
 
 
-def test_fingers_where_there_are_no_subjects() -> None:
-    fused = fuse([replace(one, subject=None) for one in systems(2)])
+def test_folds_are_of_fingers_where_there_are_no_subjects() -> None:
+    fused = fuse([replace(system, subject=None) for system in systems(2)])
     assert (fused.by, fused.folds) == ("finger", 5)
 
 
 def test_the_seed_decides_the_folds() -> None:
     two = systems(2)
     a, b, c = (fuse(two, seed=seed).scores.score for seed in (0, 0, 1))
-    assert np.array_equal(a, b) and not np.array_equal(a, c)
+    assert np.array_equal(a, b)
+    assert not np.array_equal(a, c)
 
 
-def test_what_cannot_be_fused_is_refused() -> None:
+def test_systems_that_cannot_be_fused_are_refused() -> None:
     two = systems(2)
     with pytest.raises(BadInput, match="two systems at least"):
         fuse(two[:1])
     with pytest.raises(BadInput, match="did not score the same pairs"):
         fuse([two[0], systems(1, subjects=9)[0]])
     with pytest.raises(BadInput, match="subject_a and subject_b"):
-        fuse([replace(one, subject=None, finger=None) for one in two])
+        fuse([replace(system, subject=None, finger=None) for system in two])
     with pytest.raises(BadInput, match="do not vary"):
         fuse([two[0], replace(two[1], score=np.ones(two[1].score.size))])
-    few = ids_of(["a", "b"], ["a", "a"])
+    label, subject = np.array([True, False]), ids_of(["a", "b"], ["a", "a"])
     with pytest.raises(BadInput, match="three subjects"):
-        fuse(
-            [
-                Scores(np.array([True, False]), np.array([1.0, 0.0]), subject=few, name=name)
-                for name in "xy"
-            ]
-        )
+        fuse([Scores(label, np.array([1.0, 0.0]), subject=subject, name=name) for name in "xy"])
+    small = [replace(system, subject=None) for system in systems(2, subjects=2)]
     with pytest.raises(BadInput, match="left to learn from"):
-        fuse(
-            [
-                replace(one, subject=None).taken((one.finger.codes < 3).all(axis=1))
-                for one in systems(2, subjects=2)
-            ]
-        )
+        fuse([system.taken((system.finger.codes < 3).all(axis=1)) for system in small])

@@ -1,5 +1,4 @@
-"""A finger path-traced behind polarising films by nobody on this project: a parallel and a crossed
-series."""
+"""A parallel and a crossed series of a finger that was path-traced outside this project."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ from script_folder import VALIDATION, scripts_of
 from splitknit.cli.main import main
 from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.polarised import specular_of, without_films
-from splitknit.model import Capture
+from splitknit.model import Band, Capture, Reconstruction
 from splitknit.presets import preset_settings
 
 pytestmark = pytest.mark.slow
@@ -30,7 +29,7 @@ def capture(data_dir: Path) -> Capture:
 
 
 @pytest.mark.parametrize("moved_mm", [(0.0, 0.0), (0.2, -0.1)])
-def test_motion_between_the_series_is_found_to_micrometres(
+def test_motion_between_the_series_is_measured_to_micrometres(
     capture: Capture, moved_mm: tuple[float, float]
 ) -> None:
     """A still finger to 0.004 mm in each shot; a moved one to 0.009 mm, the mean of its shots to
@@ -39,33 +38,31 @@ def test_motion_between_the_series_is_found_to_micrometres(
     turn = np.array([[1.0, 0.0, moved_mm[0] * px], [0.0, 1.0, -moved_mm[1] * px]])
     size = capture.shape[::-1]
     pixels = [
-        cv2.warpAffine(one, turn, size, flags=cv2.INTER_CUBIC, borderMode=1) for one in band.pixels
+        cv2.warpAffine(image, turn, size, flags=cv2.INTER_CUBIC, borderMode=1)
+        for image in band.pixels
     ]
     crossed = replace(band, pixels=np.stack(pixels)) if any(moved_mm) else band
-    given = replace(capture, bands={**capture.bands, "white_crossed": crossed})
-    steady, finger = find_steady_finger(given, preset_settings("metric"))
-    assert (steady is given) == (not any(moved_mm))
+    moved = replace(capture, bands=capture.bands | {"white_crossed": crossed})
+    steady, finger = find_steady_finger(moved, preset_settings("metric"))
+    assert (steady is moved) == (not any(moved_mm))
     shift = np.array(finger.facts["motion_white_crossed"]["shift_mm"]) - moved_mm
     assert np.hypot(*shift.T).max() < (0.009 if any(moved_mm) else 0.0045)
     assert np.hypot(*shift.mean(axis=0)) < (0.0055 if any(moved_mm) else 0.0015)
     inside = finger.mask
-    specular, still = (specular_of(without_films(one), inside) for one in (steady, capture))
-    assert specular is not None and still is not None
+    specular, still = (specular_of(without_films(series), inside) for series in (steady, capture))
     assert np.corrcoef(specular[inside], still[inside])[0, 1] > 0.97
 
 
-@pytest.mark.slow
-def test_prints_of_specular_light_and_of_relief_are_one_finger(
+def test_prints_of_specular_light_and_of_relief_match(
     capture: Capture, tmp_path: Path, capsys
 ) -> None:
-    result, out = tmp_path / "result", []
+    result = tmp_path / "result"
     splitknit.reconstruct(capture, "snk").save(result, None)
-    for method in ("specular", "relief"):
-        out.append(str(tmp_path / method / "print.png"))
-        assert (
-            main(["print", str(result), "--method", method, "--out", str(tmp_path / method)]) == 0
-        )
-    assert main(["match", *out]) == 0
+    folders = [str(tmp_path / method) for method in ("specular", "relief")]
+    for folder in folders:
+        words = ["--method", Path(folder).name, "--out", folder]
+        assert main(["print", str(result), *words]) == 0
+    assert main(["match", *(f"{folder}/print.png" for folder in folders)]) == 0
     assert "Match, decided" in capsys.readouterr().out
 
 
@@ -76,44 +73,43 @@ def test_heights_are_measured_where_the_skin_faces_the_camera(
     0.976 and 0.84."""
     result = splitknit.reconstruct(capture)
     assert result.facts["heights"] == "measured"
-    with np.load(data_dir / "path_traced" / "polarised" / "d17_pol_truth.npz") as file:
-        truth = {name: file[name] for name in file.files}
-    with scripts_of(VALIDATION / "path_traced") as script:
-        found = script("score").score(vars_of(result), truth)
-    assert found["surface_rms_mm"] < 0.07
-    assert found["ridge_corr"] > 0.96
-    assert found["ridge_corr_0_15"] > 0.998 and found["ridge_rms_um_0_15"] < 1.3
-    assert found["ridge_corr_15_30"] > 0.994 and found["ridge_rms_um_15_30"] < 2.2
-    assert 0.94 < found["ridge_gain_0_15"] < 1.05 and 0.94 < found["ridge_gain_15_30"] < 1.05
-    assert 0.7 < found["error_over_stated"] < 1.2
+    figures = score(result, data_dir)
+    assert figures["surface_rms_mm"] < 0.07
+    assert figures["ridge_corr"] > 0.96
+    assert figures["ridge_corr_0_15"] > 0.998
+    assert figures["ridge_rms_um_0_15"] < 1.3
+    assert figures["ridge_corr_15_30"] > 0.994
+    assert figures["ridge_rms_um_15_30"] < 2.2
+    assert 0.94 < figures["ridge_gain_0_15"] < 1.05
+    assert 0.94 < figures["ridge_gain_15_30"] < 1.05
+    assert 0.7 < figures["error_over_stated"] < 1.2
 
 
-@pytest.mark.slow
-def test_grey_photographs_do_where_the_skin_faces_the_camera(
+def grey(band: Band) -> Band:
+    luminance = (band.pixels * np.array([0.2126, 0.7152, 0.0722])).sum(-1, keepdims=True)
+    return replace(band, pixels=np.rint(luminance).astype(band.pixels.dtype))
+
+
+def test_heights_of_grey_photographs_are_measured_where_the_skin_faces_the_camera(
     capture: Capture, data_dir: Path
 ) -> None:
     """0.996, 0.96 and 1.9 um below 15 degrees; from a relief by colour the heights ended at 0.82,
     0.34 and 14 um."""
-    luminance = np.array([0.2126, 0.7152, 0.0722])
     bands = {
-        name: replace(
-            band,
-            pixels=np.rint((band.pixels * luminance).sum(-1, keepdims=True)).astype(
-                band.pixels.dtype
-            ),
-        )
-        if band.pixels.shape[-1] == 3
-        else band
+        name: grey(band) if band.pixels.shape[-1] == 3 else band
         for name, band in capture.bands.items()
     }
-    result = splitknit.reconstruct(replace(capture, bands=bands))
+    figures = score(splitknit.reconstruct(replace(capture, bands=bands)), data_dir)
+    assert figures["ridge_corr_0_15"] > 0.99
+    assert figures["ridge_rms_um_0_15"] < 2.5
+    assert figures["ridge_corr_15_30"] > 0.98
+    assert figures["ridge_rms_um_15_30"] < 3.5
+
+
+def score(result: Reconstruction, data_dir: Path) -> dict[str, float]:
+    """Figures against the truth of the path tracer."""
     with np.load(data_dir / "path_traced" / "polarised" / "d17_pol_truth.npz") as file:
         truth = {name: file[name] for name in file.files}
+    fields = {name: getattr(result, name) for name in ("height_mm", "mask", "uncertainty_um")}
     with scripts_of(VALIDATION / "path_traced") as script:
-        found = script("score").score(vars_of(result), truth)
-    assert found["ridge_corr_0_15"] > 0.99 and found["ridge_rms_um_0_15"] < 2.5
-    assert found["ridge_corr_15_30"] > 0.98 and found["ridge_rms_um_15_30"] < 3.5
-
-
-def vars_of(result: splitknit.Reconstruction) -> dict[str, np.ndarray]:
-    return {name: getattr(result, name) for name in ("height_mm", "mask", "uncertainty_um")}
+        return script("score").score(fields, truth)

@@ -1,5 +1,4 @@
-"""Pictures of others through the whole pipeline, with every preset: figures, and files through the
-command line."""
+"""Independent photographs through the whole pipeline, with every preset."""
 
 from __future__ import annotations
 
@@ -39,21 +38,22 @@ def needed(path: Path) -> Path:
 def bear(data_dir: Path) -> tuple[Capture, np.ndarray]:
     """DiLiGenT's bear and its scanned normals."""
     with np.load(needed(data_dir / "diligent" / "bear.npz")) as data:
-        images, lights, mask, normals = (
-            data[name] for name in ("images", "lights", "mask", "normals")
-        )
-    units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
-    leds = tuple(Led("white", direction=(float(x), float(y), float(z))) for x, y, z in units)
-    count = len(leds)
-    band = Band(
-        "white",
-        images[..., None],
-        tuple((k,) for k in range(count)),
-        np.ones(count),
-        np.zeros(count),
-    )
-    rig = Rig(Camera(4.0, (images.shape[1], images.shape[2])), leds)
-    return Capture(rig, {"white": band}, material="opaque", mask=mask.astype(bool)), normals
+        names = "images", "lights", "mask", "normals"
+        images, lights, mask, normals = (data[name] for name in names)
+    directions = lights / np.linalg.norm(lights, axis=1, keepdims=True)
+    return opaque_capture(images, directions, 4.0, mask.astype(bool)), normals
+
+
+def opaque_capture(
+    images: np.ndarray, directions: np.ndarray, px_per_mm: float, mask: BoolArray
+) -> Capture:
+    """White images (L, H, W) under distant lights (L, 3)."""
+    count = len(images)
+    leds = tuple(Led("white", direction=tuple(towards)) for towards in directions.tolist())
+    shots = tuple((k,) for k in range(count))
+    band = Band("white", images[..., None], shots, np.ones(count), np.zeros(count))
+    rig = Rig(Camera(px_per_mm, images.shape[1:]), leds)
+    return Capture(rig, {"white": band}, material="opaque", mask=mask)
 
 
 @pytest.fixture(scope="module")
@@ -69,14 +69,11 @@ def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
         encoding="linear",
     )
     capture = capture_from_photographs(photographs).capture
-    assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
     i, j = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]]
-    x, y = (
-        (j - (columns.min() + columns.max()) / 2) / radius,
-        (i - (rows.min() + rows.max()) / 2) / radius,
-    )
+    x = (j - (columns.min() + columns.max()) / 2) / radius
+    y = (i - (rows.min() + rows.max()) / 2) / radius
     sphere = np.where(np.hypot(x, y) < 0.95, np.sqrt(np.clip(1 - x * x - y * y, 0, None)), np.nan)
     return capture, sphere * radius / 5.0
 
@@ -107,7 +104,7 @@ def memory_of_ball(ball: tuple[Capture, np.ndarray]) -> Memory:
     return Memory(ball[0])
 
 
-def sound(result: Reconstruction, mask: BoolArray) -> None:
+def assert_complete(result: Reconstruction, mask: BoolArray) -> None:
     np.testing.assert_array_equal(result.mask, mask)  # a given mask is used as it is
     for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
         np.testing.assert_array_equal(np.isfinite(field), mask)
@@ -135,15 +132,13 @@ twice as much."""
         ("pr", {}, 19.6),
     ],
 )
-def test_normals_of_the_bear(
+def test_normals_of_the_bear_are_near_the_scanned_ones(
     bear: tuple[Capture, np.ndarray], preset: str, changes: dict[str, str], limit_deg: float
 ) -> None:
-    """Of the integrated surface; integration costs `metric` less than half a degree on its
-    photometric stereo."""
+    """Those of the surface; integration adds less than half a degree to the error of `metric`."""
     capture, truth = bear
-    assert capture.mask is not None
     result = reconstruct(capture, preset, changes)
-    sound(result, capture.mask)
+    assert_complete(result, capture.mask)
     error = angle_deg(result.normals, truth, capture.mask)
     assert error < limit_deg
     if preset == "metric":
@@ -154,21 +149,20 @@ def test_normals_of_the_bear(
 
 
 def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, np.ndarray]) -> None:
-    """Integration costs `ea` some of what its photometric stereo found; both are kept."""
+    """They are kept, as integration adds to the error of `ea`."""
     capture, truth = bear
-    assert capture.mask is not None
     result = reconstruct(capture, "ea")
-    assert result.normals_measured is not None
     white = capture.bands["white"]
     lights = capture.rig.select(white.leds).light_vectors()
     plain, _ = lambertian(linear_stack(white, capture.encoding), lights, capture.mask)
-    np.testing.assert_allclose(
-        result.normals_measured[capture.mask], plain[capture.mask], atol=1e-6
-    )
-    measured = angle_deg(result.normals_measured, truth, capture.mask)
-    assert measured < 8.95 and measured + 0.2 < angle_deg(result.normals, truth, capture.mask)
-    assert not result.normals_measured[~capture.mask].any()
-    assert result.facts["yaw_deg"] == 0.0 and result.warnings == ()
+    measured = result.normals_measured
+    np.testing.assert_allclose(measured[capture.mask], plain[capture.mask], atol=1e-6)
+    error_deg = angle_deg(measured, truth, capture.mask)
+    assert error_deg < 8.95
+    assert error_deg + 0.2 < angle_deg(result.normals, truth, capture.mask)
+    assert not measured[~capture.mask].any()
+    assert result.facts["yaw_deg"] == 0.0
+    assert result.warnings == ()
 
 
 @pytest.mark.parametrize(
@@ -181,19 +175,17 @@ def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, n
         ("pr", {}, 0.105),
     ],
 )
-def test_heights_of_the_ball(
+def test_heights_of_the_ball_are_within_a_few_per_cent_of_its_radius(
     ball: tuple[Capture, np.ndarray],
     memory_of_ball: Memory,
     preset: str,
     changes: dict[str, str],
     limit: float,
 ) -> None:
-    """Within a few per cent of the radius, though the camera's response is not known and its lens
-    not orthographic."""
+    """Though the camera's response is unknown and its lens not orthographic."""
     capture, sphere = ball
-    assert capture.mask is not None
     result = reconstruct(capture, preset, changes, memory=memory_of_ball)
-    sound(result, capture.mask)
+    assert_complete(result, capture.mask)
     error = (result.height_mm - sphere)[np.isfinite(sphere)]
     assert error.std() < limit * np.nanmax(sphere)
 
@@ -202,9 +194,8 @@ def test_heights_of_the_ball(
 def test_the_phalange_is_a_finger_with_ridges(
     phalange: Capture, memory_of_phalange: Memory, preset: str
 ) -> None:
-    assert phalange.mask is not None
     result = reconstruct(phalange, preset, memory=memory_of_phalange)
-    sound(result, phalange.mask)
+    assert_complete(result, phalange.mask)
     middle = result.ridge_mm[250:450, 500:700]
     window = np.outer(np.hanning(200), np.hanning(200))
     power = np.abs(np.fft.fft2((middle - middle.mean()) * window)) ** 2
@@ -224,28 +215,24 @@ def test_the_phalange_is_a_finger_with_ridges(
 
 
 @pytest.mark.slow
-def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Path, capsys) -> None:
-    """Through files and the command line: the same finger, and all results."""
-    assert phalange.mask is not None
-    given = phalange.mask
-    write_capture(phalange, tmp_path / "capture")
-    document = json.loads((tmp_path / "capture" / "capture.json").read_text())
+def test_the_command_line_segments_the_phalange_without_its_mask(
+    phalange: Capture, tmp_path: Path, capsys
+) -> None:
+    folder, out = tmp_path / "capture", tmp_path / "result"
+    write_capture(phalange, folder)
+    document = json.loads((folder / "capture.json").read_text())
     del document["mask"]
-    (tmp_path / "capture" / "capture.json").write_text(json.dumps(document))
-    out = tmp_path / "result"
-    assert main(["reconstruct", str(tmp_path / "capture"), "--out", str(out), "--json"]) == 0
+    (folder / "capture.json").write_text(json.dumps(document))
+    assert main(["reconstruct", str(folder), "--out", str(out), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert {path.name for path in out.iterdir()} >= {*FILES, "surface.ply"} - {
-        "print.png",
-        "phalange.ply",
-    }  # an opaque thing is not a finger
+    of_fingers = {"print.png", "phalange.ply"}  # an opaque thing is not a finger
+    assert {path.name for path in out.iterdir()} >= {*FILES, "surface.ply"} - of_fingers
     assert facts["facts"]["separation"] == "none (opaque material)"
     with np.load(out / "height.npz") as arrays:
-        mask = arrays["mask"]
-        assert (mask & given).sum() > 0.94 * (mask | given).sum()
-        assert np.isfinite(arrays["height_mm"][mask]).all()
-    # its lamps stand in one plane, 3 units high: their light falls by the square of the distance,
-    # by 11 %
+        mask, height_mm = arrays["mask"], arrays["height_mm"]
+    assert (mask & phalange.mask).sum() > 0.94 * (mask | phalange.mask).sum()
+    assert np.isfinite(height_mm[mask]).all()
+    # its lamps stand in one plane, 3 units high: by their distances their light differs by 11 %
     messages = {each["code"]: each["message"] for each in facts["findings"]}
     assert "touches a border of the image" in messages.pop("outline-at-border")  # where it enters
     (brightness,) = messages.values()
@@ -256,34 +243,31 @@ def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Pat
     assert 0.3 < (prints < 128).mean() < 0.6  # ridges and valleys
 
 
+GEL_PITCH_MM, BALL_RADIUS_MM = 0.00340346, 0.2475
+
+
+def gel_images(folder: Path) -> np.ndarray:
+    files = [str(folder / f"image{k:02d}.png") for k in range(7, 13)]
+    return np.float32([cv2.imread(file, cv2.IMREAD_GRAYSCALE) for file in files])
+
+
+def cap(x: float, y: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Pixels (n,) of a ball within 0.6 of its radius, and its normals (3, n) there."""
+    rows, columns = np.mgrid[int(y - 50) : int(y + 50), int(x - 50) : int(x + 50)]
+    u, v = np.array([columns - x, y - rows]) * GEL_PITCH_MM / BALL_RADIUS_MM
+    normals = np.stack([u, v, np.sqrt(np.clip(1 - u * u - v * v, 0, None))])
+    part = u * u + v * v < 0.36
+    return (rows[part], columns[part]), normals[:, part]
+
+
 @pytest.mark.slow
 def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> None:
     """Caps in um. Lights and ambient are fitted to the balls left of the crop; rims of contact cast
     shadows."""
     folder = needed(data_dir / "elastomer")
-    names = [f"image{k:02d}.png" for k in range(7, 13)]
-    pressed, flat = (
-        np.stack(
-            [cv2.imread(str(folder / part / name), cv2.IMREAD_GRAYSCALE) for name in names]
-        ).astype(np.float32)
-        for part in ("BGA-001", "Flat-001")
-    )
-    ratio = pressed / np.maximum(flat, 1)
-    outlines = re.findall(
-        r"x: ([\d.]+)\s+y: ([\d.]+)", (folder / "BGA-001" / "scan.yaml").read_text("utf-8")
-    )
-    centres, pitch_mm, radius_mm = np.array(outlines, dtype=float), 0.00340346, 0.2475
-    radius = radius_mm / pitch_mm
-
-    def cap(x: float, y: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """Pixels (n,) within 0.6 of the radius, and the ball's normals (3, n) there."""
-        rows, columns = np.mgrid[int(y - 50) : int(y + 50), int(x - 50) : int(x + 50)]
-        u, v = (columns - x) / radius, (y - rows) / radius
-        part = u * u + v * v < 0.36
-        return (rows[part], columns[part]), np.stack(
-            [u, v, np.sqrt(np.clip(1 - u * u - v * v, 0, None))]
-        )[:, part]
-
+    ratio = gel_images(folder / "BGA-001") / np.maximum(gel_images(folder / "Flat-001"), 1)
+    outlines = (folder / "BGA-001" / "scan.yaml").read_text("utf-8")
+    centres = np.array(re.findall(r"x: ([\d.]+)\s+y: ([\d.]+)", outlines), dtype=float)
     left = [cap(x, y) for x, y in centres if 60 < x < 900 and 60 < y < len(ratio[0]) - 60]
     truth = np.concatenate([normals.T for _, normals in left])
     light = np.concatenate([ratio[:, *part].T for part, _ in left])
@@ -291,34 +275,19 @@ def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> 
     lights = np.array(vectors).T
     crop = np.s_[500:1400, 1000:1900]
     strength = np.linalg.norm(lights, axis=1)
-    images = ((ratio - ambient[:, None, None]) / strength[:, None, None])[:, *crop] * 12000
-    leds = tuple(
-        Led("white", direction=(float(x), float(y), float(z)))
-        for x, y, z in lights / strength[:, None]
-    )
-    band = Band(
-        "white",
-        np.clip(images, 0, 65535).astype(np.uint16)[..., None],
-        tuple((k,) for k in range(6)),
-        np.ones(6),
-        np.zeros(6),
-    )
-    capture = Capture(
-        Rig(Camera(1 / pitch_mm, images.shape[1:]), leds),
-        {"white": band},
-        material="opaque",
-        mask=np.ones(images.shape[1:], bool),
-    )
+    shading = (ratio - ambient[:, None, None]) / strength[:, None, None]
+    images = np.clip(shading[:, *crop] * 12000, 0, 65535).astype(np.uint16)
+    mask = np.ones(images.shape[1:], bool)
+    capture = opaque_capture(images, lights / strength[:, None], 1 / GEL_PITCH_MM, mask)
     error = {}
     for preset in ("metric", "ea"):
         height = np.full(ratio.shape[1:], np.nan)
         height[crop] = reconstruct(capture, preset).height_mm * 1000
         rms = []
         for x, y in centres:
-            if not (1060 < x < 1840 and 560 < y < 1340):
-                continue
-            part, normals = cap(x, y)
-            rms.append((height[part] - normals[2] * radius_mm * 1000).std())
-        error[preset] = float(np.sqrt(np.mean(np.square(rms))))
+            if 1060 < x < 1840 and 560 < y < 1340:
+                part, normals = cap(x, y)
+                rms.append((height[part] - normals[2] * BALL_RADIUS_MM * 1000).std())
         assert len(rms) == 6
+        error[preset] = float(np.sqrt(np.mean(np.square(rms))))
     assert error["metric"] < min(1.6, error["ea"])

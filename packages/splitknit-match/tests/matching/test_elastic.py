@@ -1,4 +1,4 @@
-"""Patches: known shifts, the support of neighbours, the affine fit."""
+"""Patches of two ridge bands: known shifts, the support of neighbours, the affine fit."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ def texture(seed: int, rows: int = 160, columns: int = 140) -> RidgeBand:
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-4, 4), (2, 1)])
-def test_shifts_of_patches_are_found(shift: tuple[int, int]) -> None:
+def test_shifts_of_patches_are_recovered(shift: tuple[int, int]) -> None:
     b = texture(1)
     # A's content lies `shift` (columns, rows) further
     a = replace(b, value=np.roll(b.value, shift[::-1], axis=(0, 1)))
-    found = compare_patches(patch_grid(b), a, IDENTITY)
-    inner = slice(20, -20)
-    assert np.median(found.correlation[inner]) == pytest.approx(1.0, abs=0.02)
+    agreement = compare_patches(patch_grid(b), a, IDENTITY)
+    assert np.median(agreement.correlation[20:-20]) == pytest.approx(1.0, abs=0.02)
     # it must move back
-    np.testing.assert_allclose(np.median(found.shift, axis=0), [-shift[0], -shift[1]], atol=0.1)
+    moved = np.median(agreement.shift, axis=0)
+    np.testing.assert_allclose(moved, [-shift[0], -shift[1]], atol=0.1)
 
 
 def test_too_little_valid_skin_is_not_compared() -> None:
@@ -43,11 +43,10 @@ def test_too_little_valid_skin_is_not_compared() -> None:
     half = b.valid.copy()
     half[:, 70:] = False
     patches = patch_grid(b)
-    found = compare_patches(
-        patches, replace(b, value=np.where(half, b.value, np.float32(0)), valid=half), IDENTITY
-    )
-    assert 0.3 < len(found.used) / len(patches.corner) < 0.6
-    assert patches.corner[found.used, 1].max() + 0.6 * patches.side <= 71
+    a = replace(b, value=np.where(half, b.value, np.float32(0)), valid=half)
+    used = compare_patches(patches, a, IDENTITY).used
+    assert 0.3 < len(used) / len(patches.corner) < 0.6
+    assert patches.corner[used, 1].max() + 0.6 * patches.side <= 71
     nothing = compare_patches(patches, replace(b, valid=np.zeros_like(half)), IDENTITY)
     assert nothing.mean == 0.0
     assert len(nothing.used) == 0
@@ -59,16 +58,16 @@ def test_affine_fit_follows_a_stretched_skin() -> None:
     # A at true(p) shows B at p
     a = replace(b, value=cv2.warpAffine(b.value, true, (200, 220), flags=cv2.INTER_CUBIC))
     patches = patch_grid(b, search_mm=0.8)
-    found = compare_patches(patches, a, IDENTITY)
-    fitted = better_affine(patches, found, IDENTITY)
+    agreement = compare_patches(patches, a, IDENTITY)
+    fitted = better_affine(patches, agreement, IDENTITY)
     fitted = better_affine(patches, compare_patches(patches, a, fitted), fitted)
     corners = np.array([[30, 30, 1], [170, 30, 1], [30, 190, 1], [170, 190, 1]], float)
     np.testing.assert_allclose(corners @ fitted.T, corners @ true.T, atol=0.5)
-    few = Agreement(found.used[:3], found.correlation[:3], found.shift[:3], found.weight[:3])
-    assert better_affine(patches, few, IDENTITY) is IDENTITY
+    few = (getattr(agreement, name)[:3] for name in ("used", "correlation", "shift", "weight"))
+    assert better_affine(patches, Agreement(*few), IDENTITY) is IDENTITY
 
 
-def test_rigid_maps_middles_and_turns() -> None:
+def test_a_rigid_map_takes_middle_to_middle_and_turns() -> None:
     turn = rigid(texture(0, 41, 61), texture(0, 101, 81), np.pi / 2, 0.5, -0.3)
     # B's middle, moved by the shift, shows A's middle
     np.testing.assert_allclose(turn @ [40 + 5, 50 - 3, 1], [30, 20], atol=1e-9)
@@ -76,9 +75,8 @@ def test_rigid_maps_middles_and_turns() -> None:
     np.testing.assert_allclose(turn @ [45, 47 - 10, 1], [40, 20], atol=1e-9)
 
 
-def test_chance_finds_no_support() -> None:
-    """Unlike textures: each patch alone finds some shift that fits; its neighbours do not share
+def test_shifts_by_chance_have_no_support() -> None:
+    """Dissimilar textures: each patch alone finds some shift that fits; its neighbours do not share
     it."""
-    a, b = texture(5), texture(6)
-    found = compare_patches(patch_grid(b), a, IDENTITY)
-    assert abs(found.mean) < 0.205  # 0.22 if every patch chose for itself
+    agreement = compare_patches(patch_grid(texture(6)), texture(5), IDENTITY)
+    assert abs(agreement.mean) < 0.205  # 0.22 if every patch chose for itself

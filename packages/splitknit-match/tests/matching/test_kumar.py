@@ -1,4 +1,4 @@
-"""Kumar's case: what differs from EA."""
+"""The preset `kumar`: `ea`, smoothed."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ def test_kumar_is_ea_smoothed(twin_capture: Capture, twin_memory: Memory) -> Non
     )
     np.testing.assert_array_equal(smooth.mask, plain.mask)
     inside = plain.mask
-    np.testing.assert_allclose(
-        (smooth.ridge_mm + smooth.shape_mm)[inside], smooth.height_mm[inside], atol=1e-5
-    )
+    height_mm = smooth.ridge_mm + smooth.shape_mm
+    np.testing.assert_allclose(height_mm[inside], smooth.height_mm[inside], atol=1e-5)
     # a Gaussian of 0.05 mm keeps exp(-2 (pi 0.05 / 0.45)^2) of ridges 0.45 mm apart: 0.78
     # beside the outline, the relief of EA is not of ridges
     facing = inside & (plain.normals[..., 2] > 0.9)
@@ -33,14 +32,14 @@ def test_kumar_is_ea_smoothed(twin_capture: Capture, twin_memory: Memory) -> Non
     assert np.abs(smooth.height_mm - plain.height_mm)[inside].mean() < 0.02
 
 
-def test_smoothing_is_of_the_thesis_s_cases_only() -> None:
+def test_only_the_thesis_s_cases_are_smoothed_by_up_to_1_mm() -> None:
     with pytest.raises(BadInput, match="method=thesis"):
         override(preset_settings("metric"), {"smooth.sigma_mm": 0.1})
     with pytest.raises(BadInput, match="must be from 0 to 1"):
         override(preset_settings("ea"), {"smooth.sigma_mm": -0.1})
 
 
-def test_nothing_leaks_in_from_outside_the_mask() -> None:
+def test_smoothing_takes_nothing_from_outside_the_mask() -> None:
     rng = np.random.default_rng(0)
     mask = np.zeros((60, 70), bool)
     mask[20:45, 15:60] = True

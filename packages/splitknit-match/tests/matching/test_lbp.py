@@ -32,7 +32,7 @@ def test_uniform_patterns_have_bins_of_their_own() -> None:
         assert (bins[code] == 58) == (sum(bits[k] != bits[k - 1] for k in range(8)) > 2)
 
 
-def test_codes_keep_under_gain_and_offset() -> None:
+def test_gain_and_offset_do_not_change_codes() -> None:
     image = np.random.default_rng(1).random((40, 50)).astype(np.float32)
     assert np.mean(lbp_codes(image) == lbp_codes(4.0 * image + 2.0)) > 0.999
     assert (lbp_codes(np.full((9, 8), 0.3, np.float32)) == 255).all()
@@ -53,11 +53,11 @@ def test_features_are_histograms_of_whole_cells(
         for row in range(0, size[0] - cell + 1, cell)
         for column in range(0, size[1] - cell + 1, cell)
     ]
-    expected = np.array([one / np.linalg.norm(one) for one in counted]).ravel()
+    expected = np.array([counts / np.linalg.norm(counts) for counts in counted]).ravel()
     np.testing.assert_allclose(lbp_features(image, px_per_mm), expected, rtol=1e-6)
 
 
-def test_bad_images_are_refused() -> None:
+def test_nan_and_images_below_a_cell_are_refused() -> None:
     with pytest.raises(BadInput, match="NaN"):
         lbp_codes(np.full((5, 5), np.nan, np.float32))
     with pytest.raises(BadInput, match="smaller than a cell"):

@@ -1,9 +1,10 @@
-"""Minutiae: found where they are, compared as nbis-py compares, packed and read again."""
+"""Minutiae: extracted where they are, compared as nbis-py compares, packed and read again."""
 
 from __future__ import annotations
 
 import builtins
 import itertools
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -47,21 +48,21 @@ def masters() -> list[MasterPrint]:
 @pytest.fixture(scope="module")
 def prints(masters: list[MasterPrint]) -> list[np.ndarray]:
     """Three fingers, and the first one once more, turned and shifted."""
-    found = [np.pad(ink_print(master), BORDER, constant_values=255) for master in masters]
+    fingers = [np.pad(ink_print(master), BORDER, constant_values=255) for master in masters]
     turn = cv2.getRotationMatrix2D((170, 220), 12.0, 1.0)
     turn[:, 2] += 6.0, -9.0
-    again = cv2.warpAffine(
-        found[0], turn, found[0].shape[::-1], flags=cv2.INTER_CUBIC, borderValue=255
-    )
-    return [*found, again]
+    size = fingers[0].shape[::-1]
+    again = cv2.warpAffine(fingers[0], turn, size, flags=cv2.INTER_CUBIC, borderValue=255)
+    return [*fingers, again]
 
 
 @pytest.fixture(scope="module")
-def found(nbis, prints: list[np.ndarray]) -> list[Minutiae]:
-    return [extract(one) for one in prints]
+def minutiae(nbis, prints: list[np.ndarray]) -> list[Minutiae]:
+    """Of each print."""
+    return [extract(image) for image in prints]
 
 
-def some(count: int, seed: int = 0, size: tuple[int, int] = (380, 360)) -> Minutiae:
+def random_minutiae(count: int, seed: int = 0, size: tuple[int, int] = (380, 360)) -> Minutiae:
     rng = np.random.default_rng(seed)
     return Minutiae(
         rng.integers(0, size[1], count).astype(np.int32),
@@ -74,35 +75,34 @@ def some(count: int, seed: int = 0, size: tuple[int, int] = (380, 360)) -> Minut
 
 
 def test_minutiae_lie_where_the_finger_has_them(
-    masters: list[MasterPrint], found: list[Minutiae]
+    masters: list[MasterPrint], minutiae: list[Minutiae]
 ) -> None:
     """Places within a pixel on average, directions within a step of mindtct's (11.25 deg), against
     the truth."""
     step = 25.4 / 500
-    near, wrong, left, up = 0, [], [], []
-    for master, minutiae in zip(masters, found, strict=False):
+    errors_px, errors_deg = [], []
+    for master, extracted in zip(masters, minutiae, strict=False):
         u, v, angle = master.minutiae.T
         x = (7.5 - u) / step - 0.5 + BORDER  # the print is mirrored
         y = (24.0 - v) / step - 0.5 + BORDER
-        for k in range(minutiae.count):
-            apart = np.hypot(x - minutiae.x_px[k], y - minutiae.y_px[k])
-            nearest = int(np.argmin(apart))
-            if apart[nearest] > 8:
+        for k in range(extracted.count):
+            right, down = extracted.x_px[k] - x, extracted.y_px[k] - y
+            nearest = int(np.argmin(np.hypot(right, down)))
+            if np.hypot(right, down)[nearest] > 8:
                 continue
-            near += 1
-            left.append(minutiae.x_px[k] - x[nearest])
-            up.append(minutiae.y_px[k] - y[nearest])
-            turned = minutiae.direction_rad[k] - (np.pi - angle[nearest])
-            wrong.append(abs(np.rad2deg(np.angle(np.exp(1j * turned)))))
-    assert near > 0.7 * sum(one.count for one in found[:3])
-    assert np.median(wrong) < 8
-    assert np.percentile(wrong, 80) < 15
-    assert abs(np.mean(left)) < 1
-    assert abs(np.mean(up)) < 1
+            errors_px.append((right[nearest], down[nearest]))
+            turned = extracted.direction_rad[k] - (np.pi - angle[nearest])
+            errors_deg.append(abs(np.rad2deg(np.angle(np.exp(1j * turned)))))
+    assert len(errors_px) > 0.7 * sum(extracted.count for extracted in minutiae[:3])
+    assert np.median(errors_deg) < 8
+    assert np.percentile(errors_deg, 80) < 15
+    assert (np.abs(np.mean(errors_px, axis=0)) < 1).all()
 
 
-def test_what_a_print_holds(found: list[Minutiae], prints: list[np.ndarray]) -> None:
-    first = found[0]
+def test_minutiae_are_in_pixels_and_in_mm_from_the_middle(
+    minutiae: list[Minutiae], prints: list[np.ndarray]
+) -> None:
+    first = minutiae[0]
     assert first.acquired
     assert first.size == prints[0].shape
     assert set(first.type.tolist()) == {1, 2}
@@ -115,7 +115,7 @@ def test_what_a_print_holds(found: list[Minutiae], prints: list[np.ndarray]) -> 
 @pytest.mark.slow
 def test_scores_are_those_of_nbis_py(nbis, prints: list[np.ndarray]) -> None:
     """With all that mindtct finds, also at the outline."""
-    found = [extract(one, edge_mm=0.0) for one in prints]
+    ours = [extract(image, edge_mm=0.0) for image in prints]
     extractor = nbis.new_nbis_extractor(
         nbis.NbisExtractorSettings(
             min_quality=0.0,
@@ -125,54 +125,56 @@ def test_scores_are_those_of_nbis_py(nbis, prints: list[np.ndarray]) -> None:
             ppi=500.0,
         )
     )
-    theirs = [extractor.extract_minutiae(cv2.imencode(".png", one)[1].tobytes()) for one in prints]
+    files = [cv2.imencode(".png", image)[1].tobytes() for image in prints]
+    theirs = [extractor.extract_minutiae(file) for file in files]
     for i, j in itertools.product(range(len(prints)), repeat=2):
         score = theirs[i].compare(theirs[j])
-        assert minutiae_match(found[i], found[j]) == score
-        assert minutiae_match(found[j], found[i]) == score
-        assert minutiae_match(unpack_minutiae(pack_minutiae(found[i])), found[j]) == score
+        assert minutiae_match(ours[i], ours[j]) == score
+        assert minutiae_match(ours[j], ours[i]) == score
+        assert minutiae_match(unpack_minutiae(pack_minutiae(ours[i])), ours[j]) == score
 
 
-def test_one_finger_is_told_from_others(found: list[Minutiae]) -> None:
-    assert minutiae_match(found[0], found[3]) > 60
-    assert (
-        max(minutiae_match(found[i], found[j]) for i, j in ((0, 1), (0, 2), (1, 2), (1, 3), (2, 3)))
-        < 40
-    )
+def test_two_prints_of_a_finger_score_higher_than_those_of_two_fingers(
+    minutiae: list[Minutiae],
+) -> None:
+    impostors = ((0, 1), (0, 2), (1, 2), (1, 3), (2, 3))
+    assert minutiae_match(minutiae[0], minutiae[3]) > 60
+    assert max(minutiae_match(minutiae[i], minutiae[j]) for i, j in impostors) < 40
 
 
-def test_the_order_of_minutiae_does_not_matter(found: list[Minutiae]) -> None:
-    order = np.random.default_rng(0).permutation(found[0].count)
-    assert minutiae_match(found[0].taken(order), found[3]) == minutiae_match(found[0], found[3])
+def test_the_order_of_minutiae_does_not_matter(minutiae: list[Minutiae]) -> None:
+    first, again = minutiae[0], minutiae[3]
+    order = np.random.default_rng(0).permutation(first.count)
+    assert minutiae_match(first.taken(order), again) == minutiae_match(first, again)
 
 
 @needs_nbis
-def test_of_too_many_the_best_are_compared() -> None:
+def test_of_too_many_minutiae_the_best_are_compared() -> None:
     """200 good ones and 50 bad ones among them: the bad ones change nothing."""
-    good, bad = some(200, 1), some(50, 2)
-    good = Minutiae(
-        good.x_px, good.y_px, good.direction_rad, good.type, np.full(200, 80, np.uint8), good.size
-    )
+    good, bad = random_minutiae(200, 1), random_minutiae(50, 2)
+    good = replace(good, quality=np.full(200, 80, np.uint8))
     names = ("x_px", "y_px", "direction_rad", "type")
     both = [np.concatenate([getattr(bad, name), getattr(good, name)]) for name in names]
-    quality = np.repeat(np.array([10, 80], np.uint8), [50, 200])
-    together = Minutiae(both[0], both[1], both[2], both[3], quality, good.size)
-    other = some(60, 3)
-    assert minutiae_match(together, other) == minutiae_match(good, other)
-    assert minutiae_match(together, good) == minutiae_match(good, good)
+    together = Minutiae(*both, np.repeat(np.array([10, 80], np.uint8), [50, 200]), good.size)
+    for second in (random_minutiae(60, 3), good):
+        assert minutiae_match(together, second) == minutiae_match(good, second)
 
 
-def test_other_resolutions_are_resampled(prints: list[np.ndarray], found: list[Minutiae]) -> None:
+def test_prints_of_1000_ppi_are_resampled(
+    prints: list[np.ndarray], minutiae: list[Minutiae]
+) -> None:
     large = cv2.resize(prints[0], None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     fine = extract(large, 1000.0)
     assert fine.size == prints[0].shape
-    assert minutiae_match(fine, found[0]) > 150
+    assert minutiae_match(fine, minutiae[0]) > 150
 
 
 @needs_nbis
 @pytest.mark.parametrize("shape", [(1, 1), (8, 8), (63, 200), (90, 90), (300, 80)])
 @pytest.mark.parametrize("content", ["white", "black", "noise"])
-def test_what_is_no_print_is_a_failure_to_acquire(shape: tuple[int, int], content: str) -> None:
+def test_images_without_a_print_are_failures_to_acquire(
+    shape: tuple[int, int], content: str
+) -> None:
     image = {
         "white": np.full(shape, 255, np.uint8),
         "black": np.zeros(shape, np.uint8),
@@ -186,21 +188,21 @@ def test_what_is_no_print_is_a_failure_to_acquire(shape: tuple[int, int], conten
         assert nfiq2(image) == NFIQ2_FAILED
 
 
-def test_failures_to_acquire_are_accepted(found: list[Minutiae]) -> None:
+def test_failures_to_acquire_score_0(minutiae: list[Minutiae]) -> None:
     nothing = unpack_minutiae(b"")
     assert not nothing.acquired
     assert pack_minutiae(nothing) == b""
-    assert minutiae_match(nothing, found[0]) == 0
-    assert minutiae_match(found[0].taken(np.arange(9)), found[0]) == 0
+    assert minutiae_match(nothing, minutiae[0]) == 0
+    assert minutiae_match(minutiae[0].taken(np.arange(9)), minutiae[0]) == 0
 
 
 def test_equal_prints_are_of_equal_quality(prints: list[np.ndarray]) -> None:
-    """The tests' own memory of earlier prints aside (conftest.py)."""
+    """Without the tests' own memory of earlier prints (match_fixtures.py)."""
     first, second = (nfiq2.__wrapped__(prints[0].copy()) for _ in range(2))
     assert first == second
 
 
-def test_nfiq2_tells_good_from_bad(nbis, prints: list[np.ndarray]) -> None:
+def test_nfiq2_is_lower_for_a_spoilt_print(nbis, prints: list[np.ndarray]) -> None:
     noise = np.random.default_rng(1).normal(0, 90, prints[0].shape)
     spoilt = np.clip(cv2.GaussianBlur(prints[0], (0, 0), 2.5) + noise, 0, 255).astype(np.uint8)
     assert 0 <= nfiq2(spoilt) < nfiq2(prints[0]) <= 100
@@ -223,7 +225,7 @@ def test_bad_prints_are_refused(image: np.ndarray, ppi: float, words: str) -> No
 
 
 def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    from splitknit_match.prints import minutiae
+    from splitknit_match.prints.minutiae import _extractor
 
     real = builtins.__import__
 
@@ -233,16 +235,16 @@ def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.Monke
         return real(name, *rest, **named)
 
     monkeypatch.setattr(builtins, "__import__", refusing)
-    minutiae._extractor.cache_clear()
+    _extractor.cache_clear()
     with pytest.raises(BadInput, match=r"x86-64 Linux.*method ridge\.$"):
         extract(np.zeros((90, 90), np.uint8))
-    minutiae._extractor.cache_clear()
+    _extractor.cache_clear()
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), count=st.integers(0, 300))
 def test_packed_minutiae_come_back(seed: int, count: int) -> None:
-    before = some(count, seed)
+    before = random_minutiae(count, seed)
     after = unpack_minutiae(pack_minutiae(before))
     for name in ("x_px", "y_px", "type", "quality"):
         assert np.array_equal(getattr(after, name), getattr(before, name))
@@ -253,8 +255,8 @@ def test_packed_minutiae_come_back(seed: int, count: int) -> None:
 
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(place=st.integers(0, 1 << 20), change=st.integers(1, 255), cut=st.integers(0, 30))
-def test_damage_is_noticed(place: int, change: int, cut: int) -> None:
-    data = bytearray(pack_minutiae(some(20)))
+def test_changed_or_cut_bytes_are_refused(place: int, change: int, cut: int) -> None:
+    data = bytearray(pack_minutiae(random_minutiae(20)))
     where = place % len(data)
     data[where] ^= change
     if 6 <= where < 10:
@@ -264,10 +266,10 @@ def test_damage_is_noticed(place: int, change: int, cut: int) -> None:
 
 
 def test_contradictory_minutiae_are_refused() -> None:
-    one = some(3)
+    three = random_minutiae(3)
     with pytest.raises(BadInput, match="one length"):
-        Minutiae(one.x_px[:2], one.y_px, one.direction_rad, one.type, one.quality, one.size)
+        replace(three, x_px=three.x_px[:2])
     with pytest.raises(BadInput, match="inside their print"):
-        Minutiae(one.x_px + 400, one.y_px, one.direction_rad, one.type, one.quality, one.size)
+        replace(three, x_px=three.x_px + 400)
     with pytest.raises(BadInput, match="larger than"):
         no_minutiae((10_000, 10))

@@ -1,4 +1,4 @@
-"""Where a print is cut off, every ridge ends: those ends are not the finger's."""
+"""Where a print is cut off, every ridge ends: those ends are no minutiae."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from splitknit_match.prints.parameters import EDGE_MM
 STEP_MM = 25.4 / 500
 
 
-def test_distance_on_a_print_of_straight_ridges() -> None:
-    """Valleys are not an outline, the image's border is one, and a thin line beside the print is
-    not part of it."""
+def test_the_distance_is_to_the_outline_of_the_print_or_the_image() -> None:
+    """Valleys are not an outline, and a thin line beside the print is not part of it."""
     rows, _ = np.mgrid[:300, :240]
     ridges = np.where((rows // 5) % 2 == 0, 40, 255).astype(np.uint8)
     printed = np.full((300, 240), 255, np.uint8)
@@ -27,14 +26,12 @@ def test_distance_on_a_print_of_straight_ridges() -> None:
     assert distance[10, 120] == pytest.approx(11 * STEP_MM, abs=2.5 * STEP_MM)
     assert distance[101, 20] == 0
     assert not edge_distance_mm(np.full((100, 90), 255, np.uint8)).any()
-    assert edge_distance_mm(np.zeros((100, 90), np.uint8)).max() == pytest.approx(
-        45 * STEP_MM, abs=STEP_MM
-    )
+    black = edge_distance_mm(np.zeros((100, 90), np.uint8))
+    assert black.max() == pytest.approx(45 * STEP_MM, abs=STEP_MM)
 
 
 def test_straight_ridges_have_no_minutiae_wherever_their_print_ends() -> None:
-    """A relief of parallel ridges inside a round outline: the ends at the outline are found, and
-    left out."""
+    """Parallel ridges inside a round outline: their ends at the outline are left out."""
     pytest.importorskip("nbis")
     rows, columns = np.mgrid[:400, :400]
     turned = np.cos(0.3) * rows + np.sin(0.3) * columns

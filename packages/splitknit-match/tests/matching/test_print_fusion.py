@@ -28,75 +28,63 @@ from splitknit_match.matching.template import Template, pack, print_size, scaled
 from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
 
 
-def test_constants_are_those_that_were_fitted() -> None:
-    file = Path(__file__).resolve().parents[4] / "validation" / "match" / "fvc.json"
-    fitted = json.loads(file.read_text())["fitted"]
-    for name, used in (
-        ("both", parameters.BY_BOTH),
-        ("minutiae_alone", parameters.BY_MINUTIAE),
-    ):
-        assert list(used) == fitted[name]
+@pytest.mark.parametrize(
+    ("file", "name", "constants"),
+    [
+        ("fvc.json", "both", parameters.BY_BOTH),
+        ("fvc.json", "minutiae_alone", parameters.BY_MINUTIAE),
+        ("windows.json", "overlap", parameters.BY_OVERLAP),
+        ("windows.json", "overlap_and_minutiae", parameters.BY_OVERLAP_AND_MINUTIAE),
+    ],
+)
+def test_constants_are_the_fitted_ones(file: str, name: str, constants: tuple[float, ...]) -> None:
+    folder = Path(__file__).resolve().parents[4] / "validation" / "match"
+    assert list(constants) == json.loads((folder / file).read_text())["fitted"][name]
 
 
-def test_constants_of_small_prints_are_those_that_were_fitted() -> None:
-    file = Path(__file__).resolve().parents[4] / "validation" / "match" / "windows.json"
-    fitted = json.loads(file.read_text())["fitted"]
-    assert list(parameters.BY_OVERLAP) == fitted["overlap"]
-    assert list(parameters.BY_OVERLAP_AND_MINUTIAE) == fitted["overlap_and_minutiae"]
+NONE = math.nan
 
 
 def test_either_method_alone_counts_where_the_other_failed() -> None:
-    none = math.nan
-    assert fused_score(none, none, 12, none) > 0 > fused_score(none, none, 2, none)
-    assert fused_score(none, 0.8, none, 60) > 0 > fused_score(none, 0.2, none, 60)
-    assert fused_score(2, 0.6, 3, none) > max(
-        fused_score(2, 0.2, 3, none), fused_score(0.4, 0.6, 3, none)
-    )
+    assert fused_score(NONE, NONE, 12, NONE) > 0 > fused_score(NONE, NONE, 2, NONE)
+    assert fused_score(NONE, 0.8, NONE, 60) > 0 > fused_score(NONE, 0.2, NONE, 60)
+    both = fused_score(2, 0.6, 3, NONE)
+    assert both > fused_score(2, 0.2, 3, NONE)
+    assert both > fused_score(0.4, 0.6, 3, NONE)
+    neither = fused_score(NONE, NONE, NONE, NONE)
+    assert neither == fused_score(NONE, NONE, 0.0, NONE) == parameters.BY_BOTH[2]
 
 
-def test_what_overlaps_counts() -> None:
-    """The same agreement of ridges says less where less overlaps, and nothing more beyond a small
-    print."""
-    none = math.nan
-    scores = [
-        fused_score(none, 0.6, none, overlap) for overlap in (10, 30, 90, parameters.SMALL_MM2, 300)
-    ]
+def test_ridges_count_more_where_more_overlaps_up_to_a_small_print() -> None:
+    overlaps_mm2 = (10, 30, 90, parameters.SMALL_MM2, 300)
+    scores = [fused_score(NONE, 0.6, NONE, overlap) for overlap in overlaps_mm2]
     assert scores[0] < scores[1] < scores[2] < scores[3] == scores[4]
-    assert (
-        fused_score(none, none, none, none)
-        == fused_score(none, none, 0.0, none)
-        == parameters.BY_BOTH[2]
-    )
 
 
 def test_a_photograph_is_compared_at_the_scale_that_fits(templates) -> None:
-    one = templates[0]
-    one = Template(one.level, one.valid, one.pitch_mm, some_minutiae(30, one))
-    photo, print_of_it = Prepared(scaled(one, 1.1)), Prepared(one)
-    assert photo.template.minutiae is not None
+    template = with_minutiae(templates[0])
+    photo, contact = Prepared(scaled(template, 1.1)), Prepared(template)
     assert photo.template.minutiae.size == print_size(photo.template)
-    assert photo.template.area_mm2 == pytest.approx(1.21 * one.area_mm2, rel=0.02)
-    found, scale, number = fused_photo(photo, print_of_it, (True, False))
+    assert photo.template.area_mm2 == pytest.approx(1.21 * template.area_mm2, rel=0.02)
+    match, scale, number = fused_photo(photo, contact, (True, False))
     assert (scale, number) == (pytest.approx(1 / 1.1, abs=0.02), 0)
-    assert found.similarity > fused_match(photo, print_of_it).similarity + 5
-    again, other_scale, number = fused_photo(print_of_it, photo, (False, True))
-    assert (again.similarity, other_scale, number) == (found.similarity, scale, 1)
-    both = [
+    assert match.similarity > fused_match(photo, contact).similarity + 5
+    exchanged, scale_of_second, number = fused_photo(contact, photo, (False, True))
+    assert (exchanged.similarity, scale_of_second, number) == (match.similarity, scale, 1)
+    first, second = (
         fused_photo(*sides, (True, True))[0].similarity
-        for sides in ((photo, print_of_it), (print_of_it, photo))
-    ]
-    assert both[0] == both[1]
+        for sides in ((photo, contact), (contact, photo))
+    )
+    assert first == second
 
 
 def test_minutiae_come_back_with_their_template() -> None:
-    template = Template(np.full((200, 190), 2, np.uint8), np.ones((200, 190), np.bool_), 0.1)
-    template = replace(template, minutiae=some_minutiae(12, template))
+    without = Template(np.full((200, 190), 2, np.uint8), np.ones((200, 190), np.bool_), 0.1)
+    template = with_minutiae(without, 12)
     again = unpack(pack(template))
     assert np.array_equal(again.level, template.level)
-    assert again.minutiae is not None
-    assert template.minutiae is not None
     assert np.array_equal(again.minutiae.x_px, template.minutiae.x_px)
-    plain = pack(Template(template.level, template.valid, 0.1))
+    plain = pack(without)
     assert pack(template).startswith(plain)
     assert unpack(plain).minutiae is None
     for damaged in (pack(template)[:-1], plain + b"x", plain + b"SKMI" + bytes(20)):
@@ -104,86 +92,89 @@ def test_minutiae_come_back_with_their_template() -> None:
             unpack(damaged)
 
 
-def test_prints_are_compared_by_both(templates) -> None:
-    a, b = (Template(t.level, t.valid, t.pitch_mm, some_minutiae(30, t)) for t in templates[:2])
+def test_prints_are_compared_by_minutiae_and_ridges(templates) -> None:
+    a, b = map(with_minutiae, templates[:2])
     assert can_fuse(a, b)
     assert not can_fuse(a, templates[0])
-    found = fused_match(a, b)
-    assert found.minutiae is not None
-    assert not any(map(math.isnan, found.evidence[:3]))
-    assert fused_match(b, a).similarity == found.similarity
-    itself = fused_match(a, a)
-    assert itself.similarity > found.similarity + 5
-    few = Template(a.level, a.valid, a.pitch_mm, some_minutiae(5, a))
-    alone = fused_match(few, b)
-    assert alone.minutiae is None
-    assert math.isnan(alone.evidence[0])
-    assert alone.ridge == ridge_match(*templates[:2])
-    assert alone.similarity > 0  # impressions of one finger
+    match = fused_match(a, b)
+    assert match.minutiae is not None
+    assert not any(map(math.isnan, match.evidence[:3]))
+    assert fused_match(b, a).similarity == match.similarity
+    assert fused_match(a, a).similarity > match.similarity + 5
+
+
+def test_prints_with_few_minutiae_are_compared_by_their_ridges(templates) -> None:
+    match = fused_match(with_minutiae(templates[0], 5), with_minutiae(templates[1]))
+    assert match.minutiae is None
+    assert math.isnan(match.evidence[0])
+    assert match.ridge == ridge_match(*templates[:2])
+    assert match.similarity > 0  # impressions of one finger
 
 
 def test_minutiae_of_another_grid_are_left_out(templates) -> None:
     """Earlier versions kept them on the grid of the whole print."""
-    now = Template(templates[0].level, templates[0].valid, 0.1, some_minutiae(12, templates[0]))
-    assert unpack(pack(now)).minutiae is not None
-    earlier = Template(templates[0].level, templates[0].valid, 0.1, some_minutiae(12))
+    assert unpack(pack(with_minutiae(templates[0]))).minutiae is not None
+    earlier = replace(templates[0], minutiae=random_minutiae(12, (388, 374)))
     assert unpack(pack(earlier)).minutiae is None
-    assert with_fusion([now, now]) == (True, ())
-    assert with_fusion([templates[0]]) == (False, ())
-    assert with_fusion([now], templates[0]) == (False, ())
-    fused, findings = with_fusion([now, templates[0]])
+
+
+def test_templates_without_minutiae_are_not_fused(templates) -> None:
+    without, fusable = templates[0], with_minutiae(templates[0])
+    assert with_fusion([fusable, fusable]) == (True, ())
+    assert with_fusion([without]) == (False, ())
+    assert with_fusion([fusable], without) == (False, ())
+    fused, findings = with_fusion([fusable, without])
     assert fused
     assert str(findings[0]).startswith("1 of 2 templates hold no minutiae")
 
 
 def test_nothing_to_compare_is_the_lowest_score(templates) -> None:
-    none = Template(np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.bool_), 0.1, no_minutiae())
-    whole = Template(templates[0].level, templates[0].valid, 0.1, some_minutiae(30, templates[0]))
-    found = fused_match(none, whole)
-    assert not found.compared
-    assert found.similarity < -5
+    empty = Template(np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.bool_), 0.1, no_minutiae())
+    match = fused_match(empty, with_minutiae(templates[0]))
+    assert not match.compared
+    assert match.similarity < -5
 
 
-def some_minutiae(count: int, template: Template | None = None) -> Minutiae:
-    """Minutiae at random places of one print, or on a template's grid."""
+def with_minutiae(template: Template, count: int = 30) -> Template:
+    return replace(template, minutiae=random_minutiae(count, print_size(template)))
+
+
+def random_minutiae(count: int, size: tuple[int, int]) -> Minutiae:
     rng = np.random.default_rng(3)
-    size = (388, 374) if template is None else print_size(template)
     x, y = (rng.permutation(side - 1)[:count].astype(np.int32) for side in size[::-1])
     order = np.lexsort((y, x))
+    direction_rad = rng.integers(0, 32, count) * (np.pi / 16)
     kind = np.ones(count, np.uint8)
-    return Minutiae(
-        x[order], y[order], rng.integers(0, 32, count) * (np.pi / 16), kind, kind * 50, size
-    )
+    return Minutiae(x[order], y[order], direction_rad, kind, kind * 50, size)
 
 
-def test_pairs_of_minutiae_find_any_turn() -> None:
-    """Half of them missing on either side, the rest turned by 130 deg, moved and stretched by 3
-    %."""
+def test_pairs_of_minutiae_recover_any_turn() -> None:
+    """A quarter of them missing on either side, the rest turned by 130 deg, moved and stretched by
+    3 %."""
     rng = np.random.default_rng(5)
-    count, valid = 60, np.ones((240, 240), np.bool_)
-    place = rng.uniform(-7, 7, count) + 1j * rng.uniform(-7, 7, count)
-    turn = rng.uniform(0, 2 * np.pi, count)
+
+    def drawn(count: int) -> tuple[np.ndarray, np.ndarray]:
+        place = rng.uniform(-7, 7, count) + 1j * rng.uniform(-7, 7, count)
+        return place, rng.uniform(0, 2 * np.pi, count)
 
     def side(places: np.ndarray, turns: np.ndarray) -> Cylinders:
-        pixels = [
-            np.rint(235 + one * 500 / 25.4).astype(np.int32) for one in (-places.real, -places.imag)
-        ]
+        x, y = np.rint(235 - np.array([places.real, places.imag]) * 500 / 25.4).astype(np.int32)
         small = np.ones(len(turns), np.uint8)
-        return minutia_cylinders(
-            Minutiae(*pixels, (np.pi - turns) % (2 * np.pi), small, small, (471, 471)), valid, 0.1
-        )
+        direction_rad = (np.pi - turns) % (2 * np.pi)
+        minutiae = Minutiae(x, y, direction_rad, small, small, (471, 471))
+        return minutia_cylinders(minutiae, np.ones((240, 240), np.bool_), 0.1)
+
+    place, turn = drawn(60)
 
     angle, moved = np.deg2rad(130), 0.8 - 0.5j
     a = side(place[:45], turn[:45])
     b = side(1.03 * place[15:] * np.exp(1j * angle) + moved, turn[15:] + angle)
-    found = pair_minutiae(a, b)[0]
-    assert found.angle_rad == pytest.approx(angle, abs=0.03)
-    assert (found.right_mm, found.up_mm) == pytest.approx((0.8, -0.5), abs=0.3)
-    assert found.support > 10
-    other = side(
-        rng.uniform(-7, 7, 45) + 1j * rng.uniform(-7, 7, 45), rng.uniform(0, 2 * np.pi, 45)
-    )
-    assert max((one.support for one in pair_minutiae(a, other)), default=0) < 6
+    best = pair_minutiae(a, b)[0]
+    assert best.angle_rad == pytest.approx(angle, abs=0.03)
+    assert (best.right_mm, best.up_mm) == pytest.approx((0.8, -0.5), abs=0.3)
+    assert best.support > 10
+    impostor = side(*drawn(45))
+    assert max((pose.support for pose in pair_minutiae(a, impostor)), default=0) < 6
 
 
 def test_a_bent_print_is_laid_back() -> None:
@@ -193,17 +184,16 @@ def test_a_bent_print_is_laid_back() -> None:
     noise = cv2.GaussianBlur(rng.normal(size=(200, 200)).astype(np.float32), (0, 0), 1.6)
     value = ((noise - cv2.GaussianBlur(noise, (0, 0), 3)) / noise.std()).astype(np.float32)
     down, right = np.mgrid[0:200, 0:200].astype(np.float32)
-    aside = 7 * np.sin(right / 200 * 2 * np.pi).astype(np.float32)
-    moved = cv2.remap(value, right + aside, down, cv2.INTER_LINEAR)
+    shift = 7 * np.sin(right / 200 * 2 * np.pi).astype(np.float32)
+    moved = cv2.remap(value, right + shift, down, cv2.INTER_LINEAR)
     valid = np.ones((200, 200), np.bool_)
     grid, band = patch_grid(RidgeBand(moved, valid, 0.1)), RidgeBand(value, valid, 0.1)
     still = np.eye(2, 3)
-    found, bend = compare_patches(grid, band, still), None
-    plain = found.mean
+    agreement, bend = compare_patches(grid, band, still), None
+    plain = agreement.mean
     for _ in range(3):
-        bend = bent(grid, found, bend)
-        found = compare_patches(grid, band, still, bend)
-    assert found.mean > 0.9 > plain + 0.05
-    assert bend is not None
+        bend = bent(grid, agreement, bend)
+        agreement = compare_patches(grid, band, still, bend)
+    assert agreement.mean > 0.9 > plain + 0.05
     middle = shown_in_a(grid, still, bend, np.array([[50.0, 100.0], [150.0, 100.0]]))
     assert middle[:, 0] == pytest.approx([57, 143], abs=1.5)

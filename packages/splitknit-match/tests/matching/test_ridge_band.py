@@ -1,4 +1,4 @@
-"""The ridge band: pitch, direction, contrast, unrolling, what is left out."""
+"""The ridge band: pitch, direction, contrast, unrolling, skin without ridges."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def stripes(turn: float, period_mm: float = 0.45, side: int = 300) -> np.ndarray
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.5, 1.2, -0.9])
-def test_direction_period_and_contrast(turn: float) -> None:
+def test_ridges_of_any_direction_get_the_same_contrast(turn: float) -> None:
     gain = np.linspace(0.5, 2.0, 300, dtype=np.float32)  # contrast that changes over the finger
     band = ridge_band(stripes(turn) * gain, np.ones((300, 300), np.bool_), PITCH)
     assert band.value.shape == (150, 150)
@@ -43,9 +43,7 @@ def test_wide_shapes_are_taken_out() -> None:
     assert np.corrcoef(plain[inner].ravel(), hilly[inner].ravel())[0, 1] > 0.99
 
 
-def test_unrolling_measures_along_the_skin() -> None:
-    """Ridges at even distances on a cylinder crowd towards its sides in the picture, and lie evenly
-    in the band."""
+def test_ridges_even_on_a_cylinder_are_even_in_the_band() -> None:
     radius, side = 8.0, 300
     x = (np.arange(side) - 149.5) * PITCH  # up to 69 deg of slant
     arc = radius * np.arcsin(x / radius)
@@ -103,7 +101,7 @@ def test_prints_are_mirrored_and_inverted() -> None:
     assert np.corrcoef(from_print.value[inner].ravel(), band.value[inner].ravel())[0, 1] > 0.95
 
 
-def test_bad_input_is_refused() -> None:
+def test_impossible_pitches_heights_and_sizes_are_refused() -> None:
     relief, mask = np.zeros((20, 20), np.float32), np.ones((20, 20), np.bool_)
     with pytest.raises(BadInput, match="pitch"):
         ridge_band(relief, mask, 0.0)

@@ -11,7 +11,7 @@ from splitknit.errors import BadInput
 from splitknit_match.matching.score import calibrate_scores, dissimilarity
 
 
-def test_the_thesis_score_by_hand() -> None:
+def test_the_thesis_score_is_that_of_its_formula() -> None:
     assert dissimilarity(0.95, [1.0, 2.0, 3.0]) == pytest.approx(np.exp(-(0.95**4) / 6.0))
     assert dissimilarity(1.0, [0.0]) == 0.0
 
@@ -43,13 +43,14 @@ def test_few_or_broken_scores_are_refused() -> None:
 
 
 def test_extrapolated_rates_are_upper_limits() -> None:
-    """Of scores with the tail that is assumed: the true rate beyond the threshold seldom exceeds
-    what is stated."""
+    """Scores with the assumed tail: the true rate beyond the threshold seldom exceeds the stated
+    one."""
     rng, stated = np.random.default_rng(0), 1e-5
     tables = [calibrate_scores(rng.exponential(0.3, 5000)) for _ in range(200)]
-    found = [table.beyond(stated) for table in tables]
-    true = np.exp(-np.array([similarity for similarity, _ in found]) / 0.3)
+    similarity, expected = np.transpose([table.beyond(stated) for table in tables])
+    true = np.exp(-similarity / 0.3)
     assert np.mean(true > stated) < 0.05
-    assert all(expected < stated for _, expected in found)
+    assert (expected < stated).all()
     nearer = tables[0].beyond(1e-4)
-    assert nearer[0] < found[0][0] and nearer[1] > found[0][1]
+    assert nearer[0] < similarity[0]
+    assert nearer[1] > expected[0]

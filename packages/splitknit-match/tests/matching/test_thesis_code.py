@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
@@ -27,7 +29,7 @@ def finger(seed: int, px_per_mm: float = 75.7, columns: int = 100) -> FingerImag
 def test_labels_are_those_of_single_pixels(neighbours: int) -> None:
     image = np.random.default_rng(0).standard_normal((9, 11)).astype(np.float32)
     labels = pattern_labels(image, neighbours)
-    known: dict[tuple[bool, ...], int] = {}
+    label_of: dict[tuple[bool, ...], int] = {}
     for row in range(9):
         for column in range(11):
             angle = 2 * np.pi * np.arange(neighbours) / neighbours
@@ -39,19 +41,17 @@ def test_labels_are_those_of_single_pixels(neighbours: int) -> None:
             if np.count_nonzero(bits != np.roll(bits, 1)) > 2:
                 assert labels[row, column] == neighbours * (neighbours - 1) + 2
             else:
-                assert known.setdefault(tuple(bits), labels[row, column]) == labels[row, column]
-    assert len(set(known.values())) == len(known)
-    assert (
-        pattern_labels(np.zeros((3, 3), np.float32), neighbours).max()
-        == neighbours * (neighbours - 1) + 1
-    )
+                assert label_of.setdefault(tuple(bits), labels[row, column]) == labels[row, column]
+    assert len(set(label_of.values())) == len(label_of)
+    flat = pattern_labels(np.zeros((3, 3), np.float32), neighbours)
+    assert flat.max() == neighbours * (neighbours - 1) + 1
 
 
 def test_a_finger_equals_itself_and_its_score_is_that_of_counting() -> None:
     a, b = code_side(finger(1)), code_side(finger(2))
     same = code_match(a, a)
-    assert same.similarity == 1.0 and same.ratio == 1.0 and same.shift_px == 0
-    found = code_match(a, b)
+    assert (same.similarity, same.ratio, same.shift_px) == (1.0, 1.0, 0)
+    match = code_match(a, b)
     distance = 0.0
     for row in range(4):
         for column in range(3):
@@ -60,25 +60,27 @@ def test_a_finger_equals_itself_and_its_score_is_that_of_counting() -> None:
                 np.bincount(side.labels["relief"][cut].ravel(), minlength=213) for side in (a, b)
             )
             distance += np.abs(first - second).sum()
-    assert found.distances["relief"] == pytest.approx(distance / (4 * 3 * 213))
-    assert found.similarity == pytest.approx(1 - np.mean(list(found.distances.values())))
+    assert match.distances["relief"] == pytest.approx(distance / (4 * 3 * 213))
+    assert match.similarity == pytest.approx(1 - np.mean(list(match.distances.values())))
 
 
-def test_a_finger_that_lies_elsewhere_in_its_picture_is_found() -> None:
-    image = finger(3)
-    wider = {name: np.pad(channel, ((0, 0), (0, 25))) for name, channel in image.channels.items()}
-    cut = FingerImages(wider, np.pad(image.mask, ((0, 0), (0, 25))), image.px_per_mm)
-    found = code_match(code_side(image), code_side(cut))
-    assert found.shift_px == 0 and found.ratio == 1.0
-    assert found.similarity == pytest.approx(1.0, abs=0.02)
+def test_empty_columns_beside_a_finger_change_little() -> None:
+    image, columns = finger(3), ((0, 0), (0, 25))
+    channels = {name: np.pad(channel, columns) for name, channel in image.channels.items()}
+    wider = FingerImages(channels, np.pad(image.mask, columns), image.px_per_mm)
+    match = code_match(code_side(image), code_side(wider))
+    assert match.shift_px == 0
+    assert match.ratio == 1.0
+    assert match.similarity == pytest.approx(1.0, abs=0.02)
 
 
-def test_what_cannot_be_compared_is_refused() -> None:
+def test_sides_of_two_scales_or_below_a_cell_are_refused() -> None:
     side = code_side(finger(1))
     with pytest.raises(BadInput, match="need one scale"):
         code_match(side, code_side(finger(1, px_per_mm=30)))
     with pytest.raises(BadInput, match="smaller than a cell"):
         code_match(code_side(finger(1, columns=20)), side)
-    plain = FingerImages({"relief": finger(1).channels["relief"]}, finger(1).mask, 75.7)
+    image = finger(1)
+    plain = replace(image, channels={"relief": image.channels["relief"]})
     with pytest.raises(BadInput, match="no channel"):
         code_match(code_side(plain), side)

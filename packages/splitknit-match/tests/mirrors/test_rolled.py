@@ -1,5 +1,4 @@
-"""A finger between mirrors, rolled: against formulas of its own, by its views' true masks and
-mirrors."""
+"""A finger between mirrors, rolled from the true masks and mirrors, against its formulas."""
 
 from __future__ import annotations
 
@@ -35,105 +34,103 @@ def finger() -> Rolled:
 
 
 def truth_of(finger: Rolled) -> tuple[np.ndarray, np.ndarray]:
-    """True relief at the finger's points, and the slant of the skin there (deg, positive to the
-    right)."""
+    """True relief at the finger's points, and the slant of the skin there (deg)."""
     points = finger.points_mm.astype(np.float64) - np.array([0.0, 2.0, 0.0])
     normals, _ = scene.bumped(points)
     return scene.ridges(points), np.rad2deg(np.arctan2(normals[..., 0], normals[..., 2]))
 
 
-def ridges_are_right(finger: Rolled, least: float) -> None:
-    truth, slant = truth_of(finger)
-    pitch = finger.chart.pitch_mm
-    known = finger.blended.known
-    seen, there = (
-        ridges_of(f.astype(np.float32), known, pitch) for f in (finger.blended.relief_mm, truth)
+def ridges_and_slant(finger: Rolled) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Measured and true ridges, and the slant of the skin (deg, positive to the right)."""
+    true, slant = truth_of(finger)
+    blended, pitch = finger.blended, finger.chart.pitch_mm
+    measured, there = (
+        ridges_of(f.astype(np.float32), blended.known, pitch) for f in (blended.relief_mm, true)
     )
-    straight = (finger.chart.length_mm[:, None] < 0) & (finger.chart.length_mm[:, None] > -12)
+    return measured, there, slant
+
+
+def straight_rows(finger: Rolled) -> np.ndarray:
+    return (finger.chart.length_mm < 0) & (finger.chart.length_mm > -12)
+
+
+def assert_true_ridges(finger: Rolled, least: float) -> None:
+    measured, true, slant = ridges_and_slant(finger)
+    straight = finger.blended.known & straight_rows(finger)[:, None]
     for low, high in ((-90, -60), (-60, -30), (-30, 0), (0, 30), (30, 60), (60, 90)):
-        where = known & straight & (slant > low) & (slant < high)
+        where = straight & (slant > low) & (slant < high)
         assert where.sum() > 1000, (low, high)
         # places count, too: a tenth of a millimetre beside its place a ridge of 0.6 mm correlates
         # by a half; a mirror image read the wrong way round would not correlate at all
-        assert np.corrcoef(seen[where], there[where])[0, 1] > least, (low, high)
+        assert np.corrcoef(measured[where], true[where])[0, 1] > least, (low, high)
 
 
-@pytest.mark.slow
-def test_ridges_are_found_around_the_finger_the_right_way_round(finger: Rolled) -> None:
-    ridges_are_right(finger, 0.6)
-
-
-@pytest.mark.slow
-def test_a_perspective_camera_is_rolled_as_well() -> None:
-    capture, masks = scene.perspective()
-    # under spreading rays outlines leave the height open by a millimetre
-    known = scene.views_of(*scene.capture())
-    views = replace(known, views=tuple(replace(view, mask=masks[view.name]) for view in known))
-    finger = rolled_finger(capture, views, MetricSettings())
-    ridges_are_right(finger, 0.5)  # a mirror's view is of 14.8 pixels a millimetre, not of 18
-    test_it_reaches_further_than_the_front(finger)
-
-
-@pytest.mark.slow
-def test_it_reaches_further_than_the_front(finger: Rolled) -> None:
-    normals = finger.normals.astype(np.float64)
-    rows = (finger.chart.length_mm < 0) & (finger.chart.length_mm > -12)
-    around = _coverage_deg(finger.chart, finger.blended.known, normals)[rows]
-    front = _coverage_deg(finger.chart, finger.blended.fractions[0] > 0.001, normals)[rows]
+def assert_covers_both_sides(finger: Rolled) -> None:
+    normals, rows, blended = (
+        finger.normals.astype(np.float64),
+        straight_rows(finger),
+        finger.blended,
+    )
+    around = _coverage_deg(finger.chart, blended.known, normals)[rows]
+    front = _coverage_deg(finger.chart, blended.fractions[0] > 0.001, normals)[rows]
     assert np.median(around) > 180
     assert np.median(front) < 150
     assert finger.names == ("front", "left", "right")
-    assert np.allclose(finger.blended.fractions.sum(axis=0)[finger.blended.known], 1.0, atol=1e-4)
+    assert np.allclose(blended.fractions.sum(axis=0)[blended.known], 1.0, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_ridges_around_the_finger_are_true(finger: Rolled) -> None:
+    assert_true_ridges(finger, 0.6)
+
+
+@pytest.mark.slow
+def test_the_mirrors_add_the_sides_to_the_front(finger: Rolled) -> None:
+    assert_covers_both_sides(finger)
+
+
+@pytest.mark.slow
+def test_a_capture_of_a_perspective_camera_is_rolled() -> None:
+    capture, masks = scene.perspective()
+    # under spreading rays outlines leave the height open by a millimetre
+    parallel = scene.views_of(*scene.capture())
+    views = tuple(replace(view, mask=masks[view.name]) for view in parallel)
+    finger = rolled_finger(capture, replace(parallel, views=views), MetricSettings())
+    assert_true_ridges(finger, 0.5)  # a mirror's view has 14.8 pixels a millimetre, not 18
+    assert_covers_both_sides(finger)
 
 
 @pytest.mark.slow
 def test_the_surface_is_the_finger(finger: Rolled) -> None:
-    points = finger.points_mm.astype(np.float64) - np.array([0.0, 2.0, 0.0])
-    x, y, z = np.moveaxis(points, -1, 0)
-    value = (
-        (x / scene.A) ** 2
-        + (np.maximum(y, 0) / scene.CAP) ** 2
-        + ((z - scene.TOP + scene.B) / scene.B) ** 2
-    )
-    off = (np.sqrt(value) - 1.0) * 7.0
     rows = (finger.chart.length_mm < 4) & (finger.chart.length_mm > -12)
-    assert np.sqrt((off[rows] ** 2).mean()) < 0.15
+    off = scene.off_surface_mm(finger.points_mm[rows].astype(np.float64))
+    assert np.sqrt((off**2).mean()) < 0.15
 
 
 @pytest.mark.slow
-def test_one_mirror_is_enough() -> None:
+def test_one_mirror_shows_its_side() -> None:
     capture, masks = scene.capture()
-    settings = MetricSettings()
     # the left mirror's light counts, its view does not
-    whole = scene.views_of(capture, masks)
-    views = replace(
-        whole,
-        views=tuple(replace(view, mask=None) if view.name == "left" else view for view in whole),
-    )
-    one = rolled_finger(capture, views, settings)
-    assert one.names == ("front", "right")
-    truth, slant = truth_of(one)
-    pitch, known = one.chart.pitch_mm, one.blended.known
-    seen, there = (
-        ridges_of(f.astype(np.float32), known, pitch) for f in (one.blended.relief_mm, truth)
-    )
-    left = known & (slant > -55) & (slant < -20) & (one.chart.length_mm[:, None] < 0)
-    assert np.corrcoef(seen[left], there[left])[0, 1] > 0.75
-    degrees = np.rad2deg(one.chart.angle_rad)
-    seen = (
-        one.blended.known[(one.chart.length_mm < 0) & (one.chart.length_mm > -12)].mean(axis=0)
-        > 0.9
-    )
-    assert seen[np.abs(degrees - 95).argmin()]
-    assert not seen[np.abs(degrees + 95).argmin()]
+    both = scene.views_of(capture, masks)
+    views = (replace(view, mask=None) if view.name == "left" else view for view in both)
+    finger = rolled_finger(capture, replace(both, views=tuple(views)), MetricSettings())
+    assert finger.names == ("front", "right")
+    measured, true, slant = ridges_and_slant(finger)
+    known, chart = finger.blended.known, finger.chart
+    left = known & (slant > -55) & (slant < -20) & (chart.length_mm[:, None] < 0)
+    assert np.corrcoef(measured[left], true[left])[0, 1] > 0.75
+    degrees = np.rad2deg(chart.angle_rad)
+    covered = known[straight_rows(finger)].mean(axis=0) > 0.9
+    assert covered[np.abs(degrees - 95).argmin()]
+    assert not covered[np.abs(degrees + 95).argmin()]
 
 
-def test_captures_that_cannot_be_rolled_are_told_so() -> None:
+def test_captures_without_white_light_or_mirrors_are_refused() -> None:
     rig = scene.rig()
-    capture = Capture(rig, {}, material="opaque")
-    with pytest.raises(BadInput, match="no band 'white'"):
-        find_mirror_views(capture, FingerSettings(), MirrorShapeSettings())
-    with pytest.raises(BadInput, match="has no mirrors beside the finger"):
-        find_mirror_views(
-            replace(capture, rig=replace(rig, mirrors=())), FingerSettings(), MirrorShapeSettings()
-        )
+    for mirrors, words in (
+        (rig.mirrors, "no band 'white'"),
+        ((), "has no mirrors beside the finger"),
+    ):
+        capture = Capture(replace(rig, mirrors=mirrors), {}, material="opaque")
+        with pytest.raises(BadInput, match=words):
+            find_mirror_views(capture, FingerSettings(), MirrorShapeSettings())

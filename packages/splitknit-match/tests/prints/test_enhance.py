@@ -26,7 +26,7 @@ def _rings(size: int = 300, period: float = 9.0) -> tuple[np.ndarray, np.ndarray
 
 
 @pytest.mark.parametrize(("period", "angle"), [(6, 30), (8.5, 120), (9.7, 77), (11, 0), (11, 90)])
-def test_direction_and_period_of_waves(period: float, angle: float) -> None:
+def test_direction_and_period_of_waves_are_measured(period: float, angle: float) -> None:
     field = ridge_field(_waves(period, angle)[1])
     inner = (slice(10, -10),) * 2
     assert field.mask[inner].all()
@@ -34,27 +34,25 @@ def test_direction_and_period_of_waves(period: float, angle: float) -> None:
     off = 0.5 * np.angle(np.exp(2j * (field.orientation_rad[inner] - np.deg2rad(angle))))
     assert np.abs(off).max() < np.deg2rad(0.5)
     twice = ridge_field(np.kron(_waves(period, angle, 150)[1], np.ones((2, 2), np.uint8)), 1000.0)
-    assert np.median(twice.period_mm(1000.0)[8:-8, 8:-8]) == pytest.approx(
-        period * 25.4 / 500, rel=0.01
-    )
+    period_mm = np.median(twice.period_mm(1000.0)[8:-8, 8:-8])
+    assert period_mm == pytest.approx(period * 25.4 / 500, rel=0.01)
 
 
-def test_ridges_are_found_under_noise() -> None:
+def test_ridges_are_enhanced_under_noise() -> None:
     phase, image = _rings()
     rng = np.random.default_rng(5)
     noisy = np.clip(image + 90 * rng.standard_normal(image.shape), 0, 255).astype(np.uint8)
     enhanced = gabor_enhance(noisy)
     row, column = np.mgrid[0:300, 0:300]
-    ring = (np.hypot(row - 150, column - 149) > 45) & (np.hypot(row - 150, column - 149) < 130)
+    radius = np.hypot(row - 150, column - 149)
+    ring = (radius > 45) & (radius < 130)
     assert enhanced.mask[ring].all()
     assert np.corrcoef(enhanced.wave[ring], -np.cos(phase)[ring])[0, 1] > 0.93
     assert np.corrcoef(noisy[ring], -np.cos(phase)[ring])[0, 1] < 0.75
     assert np.corrcoef(enhanced.image[ring], image[ring])[0, 1] > 0.9  # dark stays dark
 
 
-def test_it_is_what_a_filter_for_every_pixel_gives() -> None:
-    """The slow way: at every pixel a Gabor filter with the direction and frequency that hold
-    there."""
+def test_enhancement_is_that_of_a_gabor_filter_for_every_pixel() -> None:
     _, image = _rings(size=300, period=8.0)
     enhanced = gabor_enhance(image)
     field = enhanced.field
@@ -80,14 +78,13 @@ def test_nothing_is_printed_beside_the_finger() -> None:
     inside = np.zeros(image.shape, bool)
     inside[60:240, 60:240] = True
     assert (gabor_enhance(image, inside=inside).image[:50] == 255).all()
-    paper = np.where(inside, image, 255).astype(np.uint8)
-    found = gabor_enhance(paper)
-    assert (found.image[:40] == 255).all()
-    assert found.mask[80:220, 80:220].all()
+    enhanced = gabor_enhance(np.where(inside, image, 255).astype(np.uint8))
+    assert (enhanced.image[:40] == 255).all()
+    assert enhanced.mask[80:220, 80:220].all()
 
 
 @pytest.mark.parametrize("enhance", [gabor_enhance, ridge_field])
-def test_no_ridges_are_refused(enhance) -> None:
+def test_images_without_ridges_or_of_2_mm_are_refused(enhance) -> None:
     with pytest.raises(BadInput, match="no ridges"):
         enhance(np.full((200, 200), 255, np.uint8))
     with pytest.raises(BadInput, match="2 mm"):

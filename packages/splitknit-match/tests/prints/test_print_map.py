@@ -25,41 +25,40 @@ def printed(twin: Twin, laid: PrintMap) -> np.ndarray:
     return ink(*resample(twin.ridge_mm, twin.seen.mask, twin.seen.camera.pitch_mm, laid))
 
 
-def test_the_plane_is_that_of_the_relief_print(twin: Twin) -> None:
+def test_a_print_of_the_plane_is_the_relief_print(twin: Twin) -> None:
     pitch = twin.seen.camera.pitch_mm
     flat = plane_map(pitch, *twin.frame)
-    mine = ink(*resample(twin.ridge_mm, twin.seen.mask, pitch, flat))
-    theirs = relief_print(twin.ridge_mm, twin.seen.mask, 1 / pitch, *twin.frame)
-    assert mine.shape == theirs.shape
-    inside = cv2.erode((theirs < 255).astype(np.uint8), np.ones((25, 25))) > 0
-    assert np.corrcoef(mine[inside], theirs[inside])[0, 1] > 0.99
+    mapped = ink(*resample(twin.ridge_mm, twin.seen.mask, pitch, flat))
+    relief = relief_print(twin.ridge_mm, twin.seen.mask, 1 / pitch, *twin.frame)
+    assert mapped.shape == relief.shape
+    inside = cv2.erode((relief < 255).astype(np.uint8), np.ones((25, 25))) > 0
+    assert np.corrcoef(mapped[inside], relief[inside])[0, 1] > 0.99
 
 
+@pytest.mark.parametrize("kind", ["plane", "free"])
 @pytest.mark.parametrize("ppi", [500.0, 1000.0])
-def test_there_and_back(twin: Twin, ppi: float) -> None:
+def test_points_come_back_from_the_print(twin: Twin, ppi: float, kind: str) -> None:
     rng = np.random.default_rng(4)
     rows, columns = np.nonzero(cv2.erode(twin.seen.mask.astype(np.uint8), np.ones((31, 31))))
-    chosen = rng.integers(0, rows.size, 200)
-    points = np.stack([columns[chosen], rows[chosen]], axis=1) + rng.uniform(-0.5, 0.5, (200, 2))
-    for made in (
-        plane_map(twin.seen.camera.pitch_mm, *twin.frame, ppi),
-        unrolled_map(unroll(twin.grid()), "free", ppi),
-    ):
-        there = made.print_from_input(points)
-        back = made.input_from_print(there)
-        known = np.isfinite(back).all(axis=1)
-        assert known.mean() > 0.9
-        assert np.abs(back - points)[known].max() < 0.02
-        # what is stored for every pixel is the same map
-        pixel = np.rint(there[known]).astype(int)
-        dense = np.stack(
-            [made.columns[pixel[:, 1], pixel[:, 0]], made.rows[pixel[:, 1], pixel[:, 0]]], axis=1
-        )
-        again = made.print_from_input(dense)
-        assert np.nanpercentile(np.abs(again - pixel), 99) < 0.1
+    drawn = rng.integers(0, rows.size, 200)
+    points = np.stack([columns[drawn], rows[drawn]], axis=1) + rng.uniform(-0.5, 0.5, (200, 2))
+    if kind == "plane":
+        print_map = plane_map(twin.seen.camera.pitch_mm, *twin.frame, ppi)
+    else:
+        print_map = unrolled_map(unroll(twin.grid()), kind, ppi)
+    there = print_map.print_from_input(points)
+    back = print_map.input_from_print(there)
+    inside = np.isfinite(back).all(axis=1)
+    assert inside.mean() > 0.9
+    assert np.abs(back - points)[inside].max() < 0.02
+    # the rows and columns stored for every pixel are the same map
+    pixel = np.rint(there[inside]).astype(int)
+    place = pixel[:, 1], pixel[:, 0]
+    stored = np.stack([print_map.columns[place], print_map.rows[place]], axis=1)
+    assert np.nanpercentile(np.abs(print_map.print_from_input(stored) - pixel), 99) < 0.1
 
 
-def test_directions_are_mirrored(twin: Twin, laid: PrintMap) -> None:
+def test_directions_are_mirrored_on_the_print(twin: Twin, laid: PrintMap) -> None:
     middle = np.argwhere(twin.seen.mask).mean(axis=0)[None, ::-1]
     angles = np.deg2rad([0.0, 30.0, 135.0])
     points = np.repeat(middle, 3, axis=0)
@@ -69,15 +68,13 @@ def test_directions_are_mirrored(twin: Twin, laid: PrintMap) -> None:
     assert np.abs(np.angle(np.exp(1j * (on_print - (np.pi - angles))))).max() < 0.03
 
 
-def test_beside_the_finger_there_is_nothing(laid: PrintMap) -> None:
+def test_points_beside_the_finger_are_nan(laid: PrintMap) -> None:
     assert np.isnan(laid.input_from_print(np.array([[-5.0, 4.0], [0.0, 0.0]]))).all()
     assert np.isnan(laid.print_from_input(np.array([[-4000.0, 12.0], [np.nan, 3.0]]))).all()
 
 
 def _best(part: np.ndarray, whole: np.ndarray) -> tuple[float, tuple[int, int]]:
-    score = cv2.matchTemplate(
-        whole.astype(np.float32), part.astype(np.float32), cv2.TM_CCOEFF_NORMED
-    )
+    score = cv2.matchTemplate(np.float32(whole), np.float32(part), cv2.TM_CCOEFF_NORMED)
     _, best, _, place = cv2.minMaxLoc(score)
     return best, place
 
@@ -85,24 +82,23 @@ def _best(part: np.ndarray, whole: np.ndarray) -> tuple[float, tuple[int, int]]:
 def test_side_size_and_polarity_are_those_of_ink(
     twin: Twin, laid: PrintMap, printed: np.ndarray
 ) -> None:
-    """8 mm of our print lie on the finger's own ink print, unturned, unscaled: mirrored, upright,
-    ridges dark."""
+    """8 mm of the print match the finger's own ink print best as they are: not mirrored, turned,
+    inverted or scaled."""
     ink_master = ink_print(twin.master)
     core = laid.print_from_input(np.atleast_2d(twin.seen.landmarks["cores_px"])[:1])[0]
     column, row = np.rint(core).astype(int)
     part = printed[row - 79 : row + 79, column - 79 : column + 79]
     right, place = _best(part, ink_master)
     assert right > 0.7
-    assert _best(part[:, ::-1], ink_master)[0] < 0.5
-    assert _best(part[::-1], ink_master)[0] < 0.5
-    assert _best(255 - part, ink_master)[0] < 0.5
+    for wrong in (part[:, ::-1], part[::-1], 255 - part):
+        assert _best(wrong, ink_master)[0] < 0.5
     for factor in (0.96, 1.04):
         scaled = cv2.resize(part, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
         assert _best(scaled, ink_master)[0] < right - 0.1
-    theirs = ink_master[place[1] : place[1] + 158, place[0] : place[0] + 158]
-    mine, true = (ridge_field(np.ascontiguousarray(image)) for image in (part, theirs))
-    both = mine.mask & true.mask
-    ratio = np.median(true.frequency_px[both] / mine.frequency_px[both])
+    there = ink_master[place[1] : place[1] + 158, place[0] : place[0] + 158]
+    printed_field, true = (ridge_field(np.ascontiguousarray(image)) for image in (part, there))
+    both = printed_field.mask & true.mask
+    ratio = np.median(true.frequency_px[both] / printed_field.frequency_px[both])
     assert ratio == pytest.approx(1.0, abs=0.02)
 
 

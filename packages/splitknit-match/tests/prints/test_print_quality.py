@@ -9,7 +9,7 @@ import pytest
 
 from splitknit.finger.ridges import ink
 from splitknit_match.prints.print_quality import QualityFigures, print_quality, score_of
-from splitknit_match.prints.ridge_field import RidgeField, ridge_field
+from splitknit_match.prints.ridge_field import ridge_field
 
 PX_PER_MM = 500 / 25.4
 ROWS, COLUMNS = 520, 360
@@ -17,8 +17,7 @@ GOOD = QualityFigures(0.8, 45.0, 0.95, 0.95, 0.5, 0.1, 280.0, 350.0, 19.0, 0.03,
 
 
 def waves(height_um: float = 50.0, second: float = 0.0, period_mm: float = 0.5) -> np.ndarray:
-    """Horizontal ridges of a height from valley to ridge, with a second harmonic of a fraction of
-    the first."""
+    """Horizontal ridges; `second` is the second harmonic, a fraction of the first."""
     phase = 2 * np.pi * np.arange(ROWS) / (period_mm * PX_PER_MM)
     line = 0.5 * height_um * (np.cos(phase) + second * np.cos(2 * phase + 0.4))
     return np.repeat(line[:, None], COLUMNS, axis=1).astype(np.float32)
@@ -31,19 +30,19 @@ def figures(
     return print_quality(values, weight, ridge_field(ink(values, weight)), in_um=in_um).figures
 
 
-def test_height_period_and_extent() -> None:
-    found = figures(waves(40.0))
-    assert found.ridge_height_um == pytest.approx(40.0, rel=0.06)
-    assert found.period_mm == pytest.approx(0.5, rel=0.02)
-    assert found.ridge_share > 0.97
+def test_figures_are_those_of_the_waves() -> None:
+    quality = figures(waves(40.0))
+    assert quality.ridge_height_um == pytest.approx(40.0, rel=0.06)
+    assert quality.period_mm == pytest.approx(0.5, rel=0.02)
+    assert quality.ridge_share > 0.97
     area = ROWS * COLUMNS / PX_PER_MM**2
-    assert found.ridge_area_mm2 == pytest.approx(area, rel=0.05)
-    assert found.finger_area_mm2 == pytest.approx(area, rel=0.05)
-    assert found.ridge_length_mm == pytest.approx(ROWS / PX_PER_MM, rel=0.03)
-    assert found.coherence > 0.95
-    assert found.plausible_share > 0.98
-    assert found.gap_share < 0.02
-    assert found.centre_offset_mm < 0.2
+    assert quality.ridge_area_mm2 == pytest.approx(area, rel=0.05)
+    assert quality.finger_area_mm2 == pytest.approx(area, rel=0.05)
+    assert quality.ridge_length_mm == pytest.approx(ROWS / PX_PER_MM, rel=0.03)
+    assert quality.coherence > 0.95
+    assert quality.plausible_share > 0.98
+    assert quality.gap_share < 0.02
+    assert quality.centre_offset_mm < 0.2
 
 
 def test_without_micrometres_there_is_no_height() -> None:
@@ -60,37 +59,35 @@ def test_sharpness_is_the_second_harmonic_and_blind_to_noise() -> None:
     assert figures(noisy).sharpness < 0.03
 
 
-def test_half_of_the_finger_is_blank() -> None:
+def without(*blank: slice) -> QualityFigures:
+    """Of waves with a blank part."""
     values = waves()
-    values[:, COLUMNS // 2 :] = 0.0
-    found = figures(values)
-    assert found.ridge_share == pytest.approx(0.5, abs=0.06)
-    assert found.centre_offset_mm == pytest.approx(0.25 * COLUMNS / PX_PER_MM, abs=0.5)
-    values = waves()
-    values[ROWS // 2 :] = 0.0
-    found = figures(values)
-    assert found.ridge_length_mm == pytest.approx(0.5 * ROWS / PX_PER_MM, abs=1.0)
+    values[blank] = 0.0
+    return figures(values)
 
 
-def test_a_gap_inside_is_told_from_the_rim() -> None:
-    values = waves()
-    values[200:280, 120:200] = 0.0  # 4 mm wide, ridges around
-    inside = figures(values)
-    values = waves()
-    values[:, :30] = 0.0  # an outline without ridges
-    rim = figures(values)
-    assert inside.gap_share > 0.02 + rim.gap_share
-    assert rim.gap_share < 0.01
+def test_a_blank_half_is_no_ridge_area() -> None:
+    quality = without(np.s_[:], np.s_[COLUMNS // 2 :])
+    assert quality.ridge_share == pytest.approx(0.5, abs=0.06)
+    assert quality.centre_offset_mm == pytest.approx(0.25 * COLUMNS / PX_PER_MM, abs=0.5)
+    quality = without(np.s_[ROWS // 2 :])
+    assert quality.ridge_length_mm == pytest.approx(0.5 * ROWS / PX_PER_MM, abs=1.0)
 
 
-def test_beside_the_finger_nothing_counts() -> None:
+def test_an_outline_without_ridges_is_no_gap() -> None:
+    inside = without(np.s_[200:280], np.s_[120:200])  # 4 mm wide, ridges around
+    outline = without(np.s_[:], np.s_[:30])
+    assert inside.gap_share > 0.02 + outline.gap_share
+    assert outline.gap_share < 0.01
+
+
+def test_values_beside_the_finger_do_not_count() -> None:
     weight = np.zeros((ROWS, COLUMNS), np.float32)
     weight[100:400, 60:300] = 1.0
-    values = np.where(weight > 0, waves(), np.float32(1e6))
-    found = figures(values.astype(np.float32), weight)
-    assert found.finger_area_mm2 == pytest.approx(300 * 240 / PX_PER_MM**2, rel=0.06)
-    assert found.ridge_height_um == pytest.approx(50.0, rel=0.1)
-    assert found.ridge_length_mm == pytest.approx(300 / PX_PER_MM, abs=0.9)
+    quality = figures(np.where(weight > 0, waves(), np.float32(1e6)), weight)
+    assert quality.finger_area_mm2 == pytest.approx(300 * 240 / PX_PER_MM**2, rel=0.06)
+    assert quality.ridge_height_um == pytest.approx(50.0, rel=0.1)
+    assert quality.ridge_length_mm == pytest.approx(300 / PX_PER_MM, abs=0.9)
 
 
 def test_the_score_is_a_product_of_powers() -> None:
@@ -102,21 +99,15 @@ def test_the_score_is_a_product_of_powers() -> None:
     assert score_of(replace(GOOD, ridge_area_mm2=0.0))[0] == 0.0
 
 
-def test_a_figure_that_is_not_known_is_left_out() -> None:
+def test_an_unknown_figure_does_not_lower_the_score() -> None:
     score, worth = score_of(replace(GOOD, ridge_height_um=None))
     assert "ridge_height_um" not in worth
     assert score == pytest.approx(score_of(replace(GOOD, ridge_height_um=1000.0))[0])
 
 
 def test_without_waves_the_score_is_zero() -> None:
-    field = ridge_field(ink(waves(), np.ones((ROWS, COLUMNS), np.float32)))
-    nothing = RidgeField(
-        field.step_px,
-        field.orientation_rad,
-        field.coherence,
-        field.frequency_px,
-        np.zeros_like(field.mask),
-    )
-    found = print_quality(waves(), np.ones((ROWS, COLUMNS), np.float32), nothing)
-    assert found.score == 0.0
-    assert all(np.isfinite(value) for value in asdict(found.figures).values())
+    weight = np.ones((ROWS, COLUMNS), np.float32)
+    field = ridge_field(ink(waves(), weight))
+    quality = print_quality(waves(), weight, replace(field, mask=np.zeros_like(field.mask)))
+    assert quality.score == 0.0
+    assert all(map(np.isfinite, asdict(quality.figures).values()))

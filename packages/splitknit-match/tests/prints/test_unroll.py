@@ -46,8 +46,7 @@ def test_a_cylinder_unrolls_without_distortion(kind: str) -> None:
 
 
 def test_a_dome_is_relaxed() -> None:
-    """No map of a dome is free of distortion; relaxing takes much of it, the more of it from the
-    middle."""
+    """No map of a dome is free of distortion; relaxing removes much of it."""
     grid = body_grid(*_cap())
     arc = unroll(grid, "arc").distortion
     free = unroll(grid, "free").distortion
@@ -55,7 +54,7 @@ def test_a_dome_is_relaxed() -> None:
     assert free["length_p95_percent"] > 3.0  # Gauss's theorem: something must give
 
 
-def test_distortion_is_what_was_put_in() -> None:
+def test_distortion_is_that_of_a_known_stretch() -> None:
     grid = body_grid(np.zeros((200, 200)), np.ones((200, 200), bool))
     flat = grid.points_mm[..., :2] * [1.1, 1.0]
     wanted = {"length_median_percent": 10.0, "length_p95_percent": 10.0}
@@ -65,46 +64,43 @@ def test_distortion_is_what_was_put_in() -> None:
     assert distortion(grid.points_mm, flat, grid.inside & False) == {}
 
 
-def test_ridge_spacing_on_the_twin(twin: Twin) -> None:
-    """The worst direction anywhere bounds the error of a ridge's period."""
+def test_relaxing_keeps_the_ridge_spacing_of_a_finger(twin: Twin) -> None:
+    """The distortion of the worst direction bounds the error of a ridge's period."""
     figures = unroll(twin.grid()).distortion
     assert figures["length_median_percent"] < 2.0
     arc = unroll(twin.grid(), "arc").distortion
     assert figures["length_p95_percent"] < 0.7 * arc["length_p95_percent"]
 
 
-def test_yaw_and_perspective_do_not_matter() -> None:
-    _, mask = _cylinder()
-    # the cylinder turned by 20 deg in the input
+def test_a_cylinder_turned_by_20_deg_unrolls_to_its_arc() -> None:
     x, y = plane_points((360, 360))
     angle = np.deg2rad(20.0)
     across = x * np.cos(angle) + y * np.sin(angle)
     along = y * np.cos(angle) - x * np.sin(angle)
     turned_mask = (np.abs(across) < RADIUS * np.sin(np.deg2rad(70))) & (np.abs(along) < 8)
-    turned = np.where(turned_mask, np.sqrt(np.maximum(RADIUS**2 - across**2, 0.01)), np.nan).astype(
-        np.float32
-    )
+    height = np.sqrt(np.maximum(RADIUS**2 - across**2, 0.01))
+    turned = np.where(turned_mask, height, np.nan).astype(np.float32)
     frame = rotation_about((179.5, 179.5), angle)
     grid = surface_grid(turned, turned_mask, 1 / PX_PER_MM, frame, (360, 360), node_mm=0.4)
     laid = unroll(grid)
     assert laid.distortion["length_p95_percent"] < 1.5
     assert _off_arc(grid, laid.flat_mm, 55) < 0.05
-    # the same cylinder seen from 60 mm: points lie nearer to the axis than their pixels
+
+
+def test_a_cylinder_seen_from_60_mm_unrolls_to_its_arc() -> None:
+    """Points lie nearer to the axis than their pixels."""
+    _, mask = _cylinder()
     x, y = plane_points((320, 260))
     z = np.zeros_like(x)
     for _ in range(60):
         z = np.sqrt(np.maximum(RADIUS**2 - (x * (1 - z / 60)) ** 2, 0.01)) - RADIUS
-    seen = mask & (np.abs(x) < 7)
-    near = surface_grid(
-        z.astype(np.float32), seen, 1 / PX_PER_MM, np.eye(3), mask.shape,
-        xy_mm=((x * (1 - z / 60)).astype(np.float32), (y * (1 - z / 60)).astype(np.float32)),
-        node_mm=0.4,
-    )  # fmt: skip
-    laid = unroll(near)
-    assert _off_arc(near, laid.flat_mm, 55) < 0.05
+    xy_mm = tuple((axis * (1 - z / 60)).astype(np.float32) for axis in (x, y))
+    view = z.astype(np.float32), mask & (np.abs(x) < 7), 1 / PX_PER_MM, np.eye(3), mask.shape
+    grid = surface_grid(*view, xy_mm=xy_mm, node_mm=0.4)
+    assert _off_arc(grid, unroll(grid).flat_mm, 55) < 0.05
 
 
-def test_nonsense_is_refused() -> None:
+def test_surfaces_of_no_finger_are_refused() -> None:
     flat = np.zeros((40, 40), np.float32)
     mask = np.zeros((40, 40), bool)
     mask[:4, :4] = True
@@ -120,7 +116,6 @@ def test_nonsense_is_refused() -> None:
         surface_grid(wide, wide == 0, 1e-4, np.eye(3), wide.shape)
     with pytest.raises(BadInput, match="too small"):
         surface_grid(flat, np.ones_like(mask), 0.001, np.eye(3), flat.shape)
+    nan = wide * np.float32(np.nan)
     with pytest.raises(BadInput, match="no finite height"):
-        surface_grid(
-            wide, wide == 0, 0.05, np.eye(3), wide.shape, xy_mm=(wide * np.float32(np.nan), wide)
-        )
+        surface_grid(wide, wide == 0, 0.05, np.eye(3), wide.shape, xy_mm=(nan, wide))

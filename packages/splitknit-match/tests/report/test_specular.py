@@ -22,17 +22,21 @@ from splitknit.model import Capture, Reconstruction
 @pytest.fixture(scope="module")
 def polarised() -> Capture:
     """A finger with specular reflection, and without it as crossed films show it."""
-    one, other = (
+    glossy, matt = (
         splitknit_simulator.simulate_capture(
             3, settings={"scale": 0.2, "skin.glare": [strength, strength]}
         )[0]
         for strength in (1.0, 0.0)
     )
-    white, dark = one.bands["white"], other.bands["white"]
-    crossed = replace(dark, name="white_crossed", polarisation="crossed")
-    return replace(
-        one, bands={"white": replace(white, polarisation="parallel"), "white_crossed": crossed}
-    )
+    parallel = replace(glossy.bands["white"], polarisation="parallel")
+    crossed = replace(matt.bands["white"], name="white_crossed", polarisation="crossed")
+    return replace(glossy, bands={"white": parallel, "white_crossed": crossed})
+
+
+@pytest.fixture(scope="module")
+def plain(polarised: Capture) -> Capture:
+    """The same light without films."""
+    return replace(polarised, bands={"white": replace(polarised.bands["white"], polarisation="")})
 
 
 @pytest.fixture(scope="module")
@@ -49,22 +53,23 @@ def folder(
     return out
 
 
+def printing(folder: Path, tmp_path: Path) -> list[str]:
+    return ["print", str(folder), "--method", "specular", "--out", str(tmp_path / "p")]
+
+
 @pytest.mark.slow
-def test_a_polarised_capture_has_a_specular_image(
-    result: Reconstruction, polarised: Capture
+def test_a_polarised_capture_alone_has_a_specular_image(
+    result: Reconstruction, plain: Capture
 ) -> None:
-    assert result.specular is not None
     np.testing.assert_array_equal(np.isfinite(result.specular), result.mask)
     values = result.specular[result.mask]
     assert abs(values.mean()) < 0.1
     assert values.std() == pytest.approx(1.0, abs=0.2)
-    plain = replace(polarised, bands={"white": replace(polarised.bands["white"], polarisation="")})
     assert splitknit.reconstruct(plain, "ea").specular is None
 
 
 @pytest.mark.slow
-def test_it_is_kept_with_the_result(result: Reconstruction, folder: Path) -> None:
-    assert result.specular is not None
+def test_the_specular_image_is_kept_with_the_result(result: Reconstruction, folder: Path) -> None:
     again = read_result(folder).specular
     assert again is not None
     np.testing.assert_array_equal(again, result.specular)
@@ -78,11 +83,8 @@ def test_it_is_kept_with_the_result(result: Reconstruction, folder: Path) -> Non
 
 
 @pytest.mark.slow
-def test_it_is_printed(folder: Path, polarised: Capture, tmp_path: Path, capsys) -> None:
-    assert (
-        main(["print", str(folder), "--method", "specular", "--out", str(tmp_path / "p"), "--json"])
-        == 0
-    )
+def test_the_specular_image_is_printed(folder: Path, tmp_path: Path, capsys) -> None:
+    assert main([*printing(folder, tmp_path), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["method"], facts["surface"]) == ("specular", "plane")
     assert facts["minutiae"]["count"]
@@ -90,14 +92,10 @@ def test_it_is_printed(folder: Path, polarised: Capture, tmp_path: Path, capsys)
 
 
 @pytest.mark.slow
-def test_without_films_there_is_none_to_print(polarised: Capture, tmp_path: Path, capsys) -> None:
-    plain = replace(polarised, bands={"white": replace(polarised.bands["white"], polarisation="")})
+def test_without_films_there_is_no_specular_image_to_print(
+    plain: Capture, tmp_path: Path, capsys
+) -> None:
     splitknit.reconstruct(plain, "ea").save(tmp_path / "plain", plain)
-    assert (
-        main(
-            ["print", str(tmp_path / "plain"), "--method", "specular", "--out", str(tmp_path / "p")]
-        )
-        == 2
-    )
+    assert main(printing(tmp_path / "plain", tmp_path)) == 2
     assert "there is no specular image" in capsys.readouterr().err
     assert not (tmp_path / "p").exists()

@@ -15,16 +15,26 @@ from splitknit_match.rolled.chart import Chart, heights, read, surface_normals
 from splitknit_match.rolled.finger import _angles, _lengths, _sampled
 
 CAMERA = Camera(12.0, (420, 900))
+FOCAL = 12.0 * 140.0
+MATRIX = np.array([[FOCAL, 0.0, 449.5], [0.0, FOCAL, 209.5], [0.0, 0.0, 1.0]])
 A, B, CAP = 8.0, 6.5, 8.0
 LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
 RIGHT = Sight("right", CAMERA, Plane(np.array([20.0, 0.0, -8.0]), LEAN))
 FRONT = Sight("front", CAMERA)
 
 
-def capsule_chart(pitch: float = 0.25) -> Chart:
-    return Chart(
-        np.zeros(3), np.eye(3), _angles(170.0, A, pitch), _lengths(-14.0, 10.0, pitch), CAP
-    )
+def near_camera(distortion: tuple[float, ...]) -> Camera:
+    """140 mm above the finger plane."""
+    return Camera(12.0, (420, 900), 140.0, "perspective", MATRIX, distortion)
+
+
+def capsule_chart(pitch: float = 0.25, half_angle_deg: float = 170.0) -> Chart:
+    angles, lengths = _angles(half_angle_deg, A, pitch), _lengths(-14.0, 10.0, pitch)
+    return Chart(np.zeros(3), np.eye(3), angles, lengths, CAP)
+
+
+def off_ellipsoid(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return np.sqrt((x / A) ** 2 + (np.maximum(y, 0) / CAP) ** 2 + (z / B) ** 2) - 1
 
 
 def capsule_radius(chart: Chart) -> np.ndarray:
@@ -34,12 +44,11 @@ def capsule_radius(chart: Chart) -> np.ndarray:
     return 1.0 / np.sqrt((fan[..., 0] / A) ** 2 + (fan[..., 1] / CAP) ** 2 + (fan[..., 2] / B) ** 2)
 
 
-def test_points_are_found_where_they_were_put() -> None:
+def test_points_of_a_chart_are_located_where_they_lie() -> None:
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     axes = turn * np.sign(np.linalg.det(turn))
-    chart = Chart(
-        np.array([3.0, -2.0, 1.0]), axes, _angles(120.0, 8.0, 0.5), _lengths(-12.0, 9.0, 0.5), 8.0
-    )
+    angles, lengths = _angles(120.0, 8.0, 0.5), _lengths(-12.0, 9.0, 0.5)
+    chart = Chart(np.array([3.0, -2.0, 1.0]), axes, angles, lengths, 8.0)
     radius = np.random.default_rng(0).uniform(5, 8, chart.shape)
     angle, length, distance = chart.locate(chart.points(radius))
     assert np.allclose(angle, chart.angle_rad[None], atol=1e-9)
@@ -53,24 +62,20 @@ def test_points_are_found_where_they_were_put() -> None:
 def test_normals_point_outwards() -> None:
     chart = capsule_chart()
     points = chart.points(capsule_radius(chart))
-    expected = (
-        points
-        / np.array([A, CAP, B]) ** 2
-        * np.where(points[..., 1:2] > 0, 1.0, np.array([1.0, 0.0, 1.0]))
-    )
+    on_the_cap = np.where(points[..., 1:2] > 0, 1.0, np.array([1.0, 0.0, 1.0]))
+    expected = points / np.array([A, CAP, B]) ** 2 * on_the_cap
     expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
     assert np.abs(surface_normals(points) - expected)[2:-2, 2:-2].max() < 0.02
 
 
 def test_a_surface_goes_from_chart_to_chart() -> None:
-    coarse = capsule_chart(0.5)
-    fine = Chart(np.zeros(3), np.eye(3), _angles(90.0, A, 0.1), _lengths(-14.0, 10.0, 0.1), CAP)
-    got = _sampled(coarse, capsule_radius(coarse), fine)
+    coarse, fine = capsule_chart(0.5), capsule_chart(0.1, half_angle_deg=90.0)
+    radius = _sampled(coarse, capsule_radius(coarse), fine)
     # the second derivative jumps where the cap begins
-    assert np.abs(got - capsule_radius(fine)).max() < 5e-3
+    assert np.abs(radius - capsule_radius(fine)).max() < 5e-3
 
 
-def test_reading_ends_at_the_border() -> None:
+def test_values_beyond_the_border_are_nan_or_empty() -> None:
     field = np.arange(12.0, dtype=np.float32).reshape(3, 4)
     x, y = np.array([[1.5, -3.0]], np.float32), np.array([[1.0, 0.0]], np.float32)
     assert read(field, x, y)[0, 0] == pytest.approx(5.5)
@@ -97,11 +102,8 @@ def test_the_front_sees_the_top_and_the_mirror_the_side() -> None:
 def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(
     distortion: tuple[float, ...],
 ) -> None:
-    chart = capsule_chart()
+    chart, camera = capsule_chart(), near_camera(distortion)
     radius = capsule_radius(chart)
-    focal = 12.0 * 140.0
-    matrix = np.array([[focal, 0.0, 449.5], [0.0, focal, 209.5], [0.0, 0.0, 1.0]])
-    camera = Camera(12.0, (420, 900), 140.0, "perspective", matrix, distortion)
     for sight, columns in (
         (replace(FRONT, camera=camera), (380, 520)),
         (replace(RIGHT, camera=camera), (690, 802)),
@@ -112,18 +114,12 @@ def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(
         met = np.isfinite(z)
         assert met.mean() > 0.7
         points = sight.to_view(np.stack(view.points(np.nan_to_num(z)), axis=-1).astype(np.float64))
-        x, y, depth = np.moveaxis(points[met], -1, 0)
-        assert (
-            np.abs(
-                np.sqrt((x / A) ** 2 + (np.maximum(y, 0) / CAP) ** 2 + (depth / B) ** 2) - 1
-            ).max()
-            < 0.01
-        )
+        assert np.abs(off_ellipsoid(*points[met].T)).max() < 0.01
         column, row = sight.pixels(points)
         at = np.meshgrid(np.arange(columns[0], columns[1], 4) + 1.5, np.arange(180, 300, 4) + 1.5)
         assert np.abs(column - at[0])[met].max() < 0.02
         assert np.abs(row - at[1])[met].max() < 0.02
-        # what the view calls a height along its rays leads back to the same points
+        # heights along the rays of the view lead back to the same points
         rays = replace(view, along_rays=True)
         again = np.stack(rays.points(rays.along(np.nan_to_num(z))), axis=-1)
         assert np.abs(sight.to_view(again.astype(np.float64)) - points)[met].max() < 1e-3
@@ -134,9 +130,7 @@ def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(
 
 
 def test_a_shade_is_read_along_the_rays_of_a_lens() -> None:
-    focal = 12.0 * 140.0
-    matrix = np.array([[focal, 0.0, 449.5], [0.0, focal, 209.5], [0.0, 0.0, 1.0]])
-    camera = Camera(12.0, (420, 900), 140.0, "perspective", matrix, (-0.15, 0.0, 0.0, 0.0, 0.0))
+    camera = near_camera((-0.15, 0.0, 0.0, 0.0, 0.0))
     view = view_of(camera, slice(100, 300), slice(600, 880), binning=4)
     x, y = view.on_plane()
     z = 10.0 * np.sin(0.3 * x) - 20.0
@@ -144,7 +138,7 @@ def test_a_shade_is_read_along_the_rays_of_a_lens() -> None:
     led = Led("white", position_mm=(0.0, 0.0, 140.0))
     points = view.points(z.astype(np.float32))
     bare, shaded = (
-        light_vectors_at(Rig(camera, (one,), {}), *points)
-        for one in (led, replace(led, shade=shade_of(lit, view)))
+        light_vectors_at(Rig(camera, (lamp,), {}), *points)
+        for lamp in (led, replace(led, shade=shade_of(lit, view)))
     )
     assert np.abs(shaded - lit * bare)[..., 2:-2, 2:-2].max() < 0.01

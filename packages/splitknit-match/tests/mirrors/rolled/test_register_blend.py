@@ -18,6 +18,7 @@ CAMERA = Camera(12.0, (420, 900))
 LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
 PLANE = Plane(np.array([20.0, 0.0, -8.0]), LEAN)
 FRONT, RIGHT = Sight("front", CAMERA), Sight("right", CAMERA, PLANE)
+LEFT = Sight("left", CAMERA, Plane(PLANE.point_mm * [-1, 1, 1], LEAN * [-1, 1, 1]))
 
 
 def ridges(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
@@ -34,19 +35,13 @@ def test_the_ridge_band_has_no_mean() -> None:
 
 
 def cylinder(radius: float) -> tuple[Chart, np.ndarray]:
-    chart = Chart(
-        np.array([0.0, 0.0, -7.0]),
-        np.eye(3),
-        _angles(100.0, 7.0, 0.1),
-        _lengths(-14.0, 0.0, 0.1),
-        7.0,
-    )
+    angles, lengths = _angles(100.0, 7.0, 0.1), _lengths(-14.0, 0.0, 0.1)
+    chart = Chart(np.array([0.0, 0.0, -7.0]), np.eye(3), angles, lengths, 7.0)
     return chart, np.full(chart.shape, radius)
 
 
 def bulged(chart: Chart, more: float, texture_seed: int = 3) -> tuple[np.ndarray, ...]:
-    """Ridges of front and mirror on a chart of radius 7, of a finger that bulges by `more` between
-    front and side."""
+    """Ridges of front and mirror on a chart of radius 7; the finger bulges by `more` in between."""
     fine = np.linspace(0.0, np.pi / 2, 4001)
     radius = 7.0 + more * np.sin(2 * fine) ** 2
     angle = np.clip(chart.angle_rad, 0.0, np.pi / 2)
@@ -67,61 +62,50 @@ def bulged(chart: Chart, more: float, texture_seed: int = 3) -> tuple[np.ndarray
 
 @pytest.mark.slow
 @pytest.mark.parametrize("more", [0.3, -0.25])
-def test_a_bulge_is_told_from_the_ridges(more: float) -> None:
+def test_the_search_measures_a_bulge_by_the_ridges(more: float) -> None:
     chart, radius = cylinder(7.0)
     first, second, both, truth = bulged(chart, more)
-    before = np.corrcoef(first[both], second[both])[0, 1]
-    assert before < 0.3  # ridges are shifted by more than a period
-    found = search(chart, radius, ViewRidges(FRONT, first, both), ViewRidges(RIGHT, second, both))
-    assert found.correlations[0] > 0.8
+    # ridges are shifted by more than a period
+    assert np.corrcoef(first[both], second[both])[0, 1] < 0.3
+    front = ViewRidges(FRONT, first, both)
+    fit = search(chart, radius, front, ViewRidges(RIGHT, second, both))
+    assert fit.correlations[0] > 0.8
     middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
-    left = found.radius_mm[70, middle] - truth[middle]
-    # surface and mirror trade against each other: what both move by is what counts
-    assert np.abs(left + found.poses[0][2] * np.sin(2 * chart.angle_rad[middle])).max() < 0.15
-    other = ViewRidges(RIGHT, ridges(chart.shape, 9) * both, both)
-    nothing = search(chart, radius, ViewRidges(FRONT, first, both), other)
-    assert not nothing.radius_mm.any()
+    left = fit.radius_mm[70, middle] - truth[middle]
+    # surface and mirror move the ridges in the same way: only their sum is measured
+    assert np.abs(left + fit.poses[0][2] * np.sin(2 * chart.angle_rad[middle])).max() < 0.15
+    unrelated = ViewRidges(RIGHT, ridges(chart.shape, 9) * both, both)
+    assert not search(chart, radius, front, unrelated).radius_mm.any()
 
 
-def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
+def test_alignment_bends_only_the_side_whose_ridges_are_shifted() -> None:
     chart, radius = cylinder(7.0)
     first, second, both, truth = bulged(chart, 0.04)
-    # a left mirror's ridges lie where they should: what bends the right side must leave that side
-    # alone
-    left = Sight("left", CAMERA, Plane(PLANE.point_mm * [-1, 1, 1], LEAN * [-1, 1, 1]))
+    # a left mirror's ridges lie where they should
     there = np.ascontiguousarray(both[:, ::-1])
     calm = ridges(chart.shape, 11) * there
-    done = align(
-        chart,
-        radius,
-        ViewRidges(FRONT, first + calm, both),
-        (ViewRidges(RIGHT, second, both), ViewRidges(left, calm, there)),
-    )
-    assert done.correlations[0] > 0.95
-    assert done.correlations[1] > 0.99
-    assert np.abs(done.radius_mm[:, there[70]]).max() < 0.005
+    left, right = ViewRidges(LEFT, calm, there), ViewRidges(RIGHT, second, both)
+    front = ViewRidges(FRONT, first + calm, both)
+    aligned = align(chart, radius, front, (right, left))
+    assert aligned.correlations[0] > 0.95
+    assert aligned.correlations[1] > 0.99
+    assert np.abs(aligned.radius_mm[:, there[70]]).max() < 0.005
     middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
-    assert np.abs(done.radius_mm[30:110, middle] - truth[middle]).max() < 0.025
-    # with one mirror the side that it does not show stays as it is
-    alone = align(chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, both),))
-    assert np.abs(alone.radius_mm[:, np.rad2deg(chart.angle_rad) < -25]).max() < 0.003
-    # ridges that lie along the finger beside the front's are the mirror's turn, of that mirror
-    # alone
-    lower = np.roll(second, 1, axis=0) * both
-    turned = align(
-        chart,
-        radius + truth,
-        ViewRidges(FRONT, first + calm, both),
-        (ViewRidges(left, calm, there), ViewRidges(RIGHT, lower, both)),
-    )
+    assert np.abs(aligned.radius_mm[30:110, middle] - truth[middle]).max() < 0.025
+    # ridges that lie along the finger beside the front's are the turn of that mirror alone
+    lower = ViewRidges(RIGHT, np.roll(second, 1, axis=0) * both, both)
+    turned = align(chart, radius + truth, front, (left, lower))
     assert abs(turned.poses[1][1]) > 5 * abs(turned.poses[0][1])
-    few = np.zeros_like(both)
-    assert (
-        align(
-            chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, few),)
-        ).radius_mm.max()
-        == 0.0
-    )
+
+
+def test_a_side_that_no_mirror_shows_stays_as_it_is() -> None:
+    chart, radius = cylinder(7.0)
+    first, second, both, _ = bulged(chart, 0.04)
+    front = ViewRidges(FRONT, first, both)
+    right_alone = align(chart, radius, front, (ViewRidges(RIGHT, second, both),))
+    assert np.abs(right_alone.radius_mm[:, np.rad2deg(chart.angle_rad) < -25]).max() < 0.003
+    empty = align(chart, radius, front, (ViewRidges(RIGHT, second, np.zeros_like(both)),))
+    assert empty.radius_mm.max() == 0.0
 
 
 def test_ridges_move_as_surface_and_mirror_do() -> None:
@@ -133,8 +117,8 @@ def test_ridges_move_as_surface_and_mirror_do() -> None:
     front, no_pose = _shifts_by(FRONT, points[at], rays[at], steps)
     mirror, by_pose = _shifts_by(RIGHT, points[at], rays[at], steps)
     column_mm = np.linalg.norm(steps[0])
-    # at 45 deg a surface that rises by 1 mm moves what the front shows by 1 mm towards the side,
-    # the mirror's back
+    # at 45 deg, where the surface rises by 1 mm, ridges of the front move by 1 mm to the side,
+    # those of the mirror back
     assert front[0] * column_mm == pytest.approx([1.0, 0.0], abs=0.02)
     assert mirror[0] * column_mm == pytest.approx([-1.0, 0.0], abs=0.02)
     assert not no_pose.any()
@@ -147,28 +131,24 @@ def test_views_fade_into_each_other() -> None:
     normals = surface_normals(points)
     known = np.ones(chart.shape, dtype=bool)
     deviation = np.full(chart.shape, 0.004, np.float32)
-    weights = np.stack(
-        [
-            _view_weight(sight.cosine(normals, points), known, deviation, 0.1)
-            for sight in (FRONT, RIGHT)
-        ]
-    )
+    cosines = [sight.cosine(normals, points) for sight in (FRONT, RIGHT)]
+    weights = np.stack([_view_weight(cosine, known, deviation, 0.1) for cosine in cosines])
     degrees = np.rad2deg(chart.angle_rad)
     assert not weights[0][:, np.abs(degrees) > STEEPEST_DEG].any()
     assert not weights[1][:, degrees < 90 - STEEPEST_DEG].any()
     values = np.stack([np.zeros(chart.shape), np.ones(chart.shape)]).astype(np.float32)
-    made = blend(values, weights)
-    assert np.allclose(made.fractions.sum(axis=0)[made.known], 1.0, atol=1e-5)
-    rising = made.relief_mm[70, (degrees > 18) & (degrees < 72)]
+    blended = blend(values, weights)
+    assert np.allclose(blended.fractions.sum(axis=0)[blended.known], 1.0, atol=1e-5)
+    rising = blended.relief_mm[70, (degrees > 18) & (degrees < 72)]
     assert (np.diff(rising) > -1e-6).all()
     assert np.abs(np.diff(rising)).max() < 0.2  # no jump between neighbours 0.1 mm apart
-    assert made.relief_mm[70, np.abs(degrees - 45).argmin()] == pytest.approx(0.5, abs=0.08)
+    assert blended.relief_mm[70, np.abs(degrees - 45).argmin()] == pytest.approx(0.5, abs=0.08)
     # from -72 deg of the front to the chart's end, less what fades out
-    around = _coverage_deg(chart, made.known, normals)
+    around = _coverage_deg(chart, blended.known, normals)
     assert np.median(around) == pytest.approx(72 + 100, abs=12)
 
 
-def test_what_is_as_uncertain_as_ridges_are_deep_is_not_shown() -> None:
+def test_relief_as_uncertain_as_ridges_are_deep_has_no_weight() -> None:
     known = np.ones((60, 60), dtype=bool)
     deviation = np.full((60, 60), 0.010, np.float32)
     deviation[:, 30:] = 0.060
