@@ -1,5 +1,5 @@
-"""The notebooks of the documentation store nothing that was computed; `make docs` runs them, and an
-error ends it."""
+"""The notebooks of the documentation run, and store nothing that was computed; `make docs` puts
+them into the site."""
 
 from __future__ import annotations
 
@@ -14,16 +14,32 @@ NOTEBOOKS = sorted(
 )
 
 
-def cells_of(notebook: Path) -> list[dict[str, Any]]:
-    return list(json.loads(notebook.read_text(encoding="utf-8"))["cells"])
+def code_cells_of(notebook: Path) -> list[dict[str, Any]]:
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    return [cell for cell in cells if cell["cell_type"] == "code"]
 
 
-def test_there_are_three() -> None:
-    assert [notebook.stem for notebook in NOTEBOOKS] == ["look", "match", "reconstruct"]
+def test_each_journey_has_a_notebook() -> None:
+    names = [notebook.stem for notebook in NOTEBOOKS]
+    assert names == ["look", "match", "object", "reconstruct", "rig"]
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_no_output_is_stored(notebook: Path) -> None:
-    for cell in cells_of(notebook):
-        if cell["cell_type"] == "code":
-            assert cell["outputs"] == [] and cell["execution_count"] is None
+    for cell in code_cells_of(notebook):
+        assert cell["outputs"] == [] and cell["execution_count"] is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_draws(
+    notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.switch_backend("Agg")
+    monkeypatch.chdir(tmp_path)
+    variables: dict[str, Any] = {}
+    for number, cell in enumerate(code_cells_of(notebook)):
+        exec(compile("".join(cell["source"]), f"{notebook.stem}, cell {number}", "exec"), variables)
+    assert pyplot.get_fignums()
+    pyplot.close("all")
