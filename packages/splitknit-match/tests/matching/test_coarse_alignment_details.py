@@ -70,7 +70,7 @@ def test_the_band_is_smoothed_for_the_coarse_grid() -> None:
     point.value[20, 20] = 1
     soft = CoarseViews(point)._soft
     assert soft.sum() == pytest.approx(1, abs=1e-3)
-    row, column = np.indices(soft.shape) - 20
+    _, column = np.indices(soft.shape) - 20
     assert (soft * column**2).sum() == pytest.approx(0.6**2, rel=0.05)
 
 
@@ -249,10 +249,12 @@ def test_every_pose_of_a_part_is_tried(
     assert len(poses) == POSES
     middle = np.array([(np.diff(columns)[0] - 1) / 2, (np.diff(rows)[0] - 1) / 2])
     cos, sin = np.cos(np.deg2rad(4 * turn)), np.sin(np.deg2rad(4 * turn))
-    for place in (middle, middle + [20, 0], middle + [0, 20]):
+    for place in middle + np.array([[0, 0], [20, 0], [0, 20]]):
         right, down = place - middle
-        expected = middle + [columns[0], rows[0]]
-        expected = expected + [cos * right - sin * down, sin * right + cos * down]
+        expected = (
+            middle[0] + columns[0] + cos * right - sin * down,
+            middle[1] + rows[0] + sin * right + cos * down,
+        )
         np.testing.assert_allclose(poses[0] @ np.append(place, 1), expected, atol=1.5)
     for number, pose in enumerate(poses):
         assert abs(np.linalg.det(pose[:, :2]) - 1) < 1e-9
