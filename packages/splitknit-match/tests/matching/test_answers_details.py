@@ -324,6 +324,7 @@ def test_rates_beyond_the_measured_follow_an_exponential_tail() -> None:
     scores = np.sort(np.random.default_rng(1).exponential(1.0, 2000))
     table = calibrate_scores(scores)
     assert table.impostors == 2000
+    assert table.rounding == 1e-5
     assert table.smallest == pytest.approx(1 / 2001)
     first = next(k for k, rate in enumerate(table.fmr) if rate * 2001 <= TAIL + 1)
     count = table.fmr[first] * 2001 - 1
@@ -397,6 +398,8 @@ def test_own_rates_come_back_from_their_file(tmp_path: Path) -> None:
         {"least_mm2": -1.0},
         {"impostors": 1e12},
         {"impostors": 100},
+        {"impostors": 299},
+        {"similarity": [*document["similarity"][:-1], 10**400]},
         {"similarity": "x"},
         {"what": None, "impostors": None},
     ]

@@ -285,3 +285,16 @@ def test_the_inverse_leads_back() -> None:
     place = np.array([7.0, -2.0])
     there = affine @ np.append(place, 1)
     np.testing.assert_allclose(inverse(affine) @ np.append(there, 1), place)
+
+
+def test_a_part_that_occurs_twice_is_found_twice() -> None:
+    """Two peaks of each rotation count."""
+    whole = texture(6, 200, 180)
+    value = whole.value.copy()
+    value[120:181, 20:85] = value[30:91, 95:160]
+    part = replace(whole, value=value[30:91, 95:160], valid=whole.valid[30:91, 95:160])
+    poses = every_pose(CoarseViews(replace(whole, value=value)), CoarseViews(part))
+    corners = sorted(tuple(np.round(pose[:, 2]).astype(int)) for pose in poses[:2])
+    np.testing.assert_allclose(corners, [(20, 120), (95, 30)], atol=2)
+    for pose in poses[:2]:
+        np.testing.assert_allclose(pose[:, :2], np.eye(2), atol=1e-9)

@@ -15,6 +15,7 @@ from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
 from splitknit.model import Surface
 from splitknit_match.matching import inputs, methods, thesis
+from splitknit_match.matching import match as match_module
 from splitknit_match.matching.fusion import _FusedMatch
 from splitknit_match.matching.inputs import Pixels, Side, held, is_of_minutiae, read_side
 from splitknit_match.matching.results import MatchDecision, PlaneAlignment, Rated
@@ -452,3 +453,18 @@ def test_sides_are_of_what_was_named(tmp_path: Path) -> None:
         )
     with pytest.raises(BadInput, match=r"is neither a result \(height\.npz\), a capture"):
         read_side(tmp_path, "metric")
+
+
+def test_scores_are_printed_where_they_are_wanted(rated: list, tmp_path: Path) -> None:
+    path = tmp_path / "a.skt"
+    methods.write_template_file(path, side_of("print"))
+    match = match_module.match_or_make_template(path, path)
+    assert match.similarity == 7.0
+    report = match_module.match_or_make_template(path, path, raw=True)
+    assert any(line.startswith("Score 7.00") for line in report.lines)
+    with pytest.raises(BadInput, match="name a second finger to compare with, or `template`"):
+        match_module.match_or_make_template(path)
+    with pytest.raises(BadInput, match=r"is of a comparison; name a second finger\."):
+        match_module.match_or_make_template(path, template=tmp_path / "b.skt", fmr=0.1)
+    made = match_module.match_or_make_template(path, template=tmp_path / "b.skt")
+    assert made.template.file == str(tmp_path / "b.skt")

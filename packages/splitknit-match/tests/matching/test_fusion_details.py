@@ -310,3 +310,31 @@ def test_prints_of_two_scales_are_doubted(monkeypatch) -> None:
     assert methods.scale_doubt(a, b, 0.02, "own") is None
     assert decided[0][1] == "fusion"
     assert decided[0][3:] == (0.02, "own")
+
+
+def test_agreeing_minutiae_count_for_an_alignment(monkeypatch) -> None:
+    """Where ridges show two alignments alike, that of more minutiae is taken."""
+    a, b = Prepared(print_of(3)), Prepared(print_of(3))
+    (pairing, *_) = fusion.pair_minutiae(a.cylinders, b.cylinders)
+    still = rigid(a.band, b.band, 0.0, 0.0, 0.0)
+    agreement = compare_patches(b.first, a.band, still)
+    monkeypatch.setattr(fusion, "likely_alignments", lambda a, b: [still + [[0, 0, 7]] * 2])
+    monkeypatch.setattr(fusion, "compare_patches", lambda *values: agreement)
+    monkeypatch.setattr(fusion, "refined", lambda a, b, affine, agreement: affine)
+    for of_pairing, of_ridges, shift in ((5.0, 1.0, 0), (1.0, 5.0, 7)):
+        counts = {True: of_pairing, False: of_ridges}
+        monkeypatch.setattr(
+            fusion,
+            "_agreeing_minutiae",
+            lambda a, b, patches, affine, bend, counts=counts: (counts[bend is not None], 9.0),
+        )
+        best = fusion._best_alignment(a, b, [pairing], math.inf)
+        np.testing.assert_allclose(best.affine[:, 2], [shift, shift], atol=1.0)
+        # minutiae that are sure leave no alignment of ridges to choose
+        sure = fusion._best_alignment(a, b, [pairing], pairing.support)
+        np.testing.assert_allclose(sure.affine, pairing.affine(a.band, b.band))
+
+
+def test_a_match_without_details_was_not_compared() -> None:
+    assert RidgeMatch(-1.0) == RidgeMatch(-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, compared=False)
+    assert RidgeMatch(-1.0).compared is False

@@ -46,7 +46,7 @@ def test_pixels_of_a_flat_band_are_steps_of_its_pitch() -> None:
     transform = np.array([[0.8, 0.6, 5.0], [-0.6, 0.8, 7.0], [0, 0, 1]])
     columns, rows, slant_cos = band_places(ALL, None, transform, (31, 44), pitch_mm=0.05)
     assert columns.shape == rows.shape == slant_cos.shape == (16, 22)
-    assert columns.dtype == rows.dtype == np.float32
+    assert columns.dtype == rows.dtype == slant_cos.dtype == np.float32
     assert (slant_cos == 1).all()
     for row, column in ((0, 0), (15, 3), (4, 21)):
         x, y, _ = transform @ [2 * column, 2 * row, 1]
@@ -198,3 +198,34 @@ def test_bad_prints_are_refused(image: np.ndarray) -> None:
     for ppi in (0.0, np.inf):
         with pytest.raises(BadInput, match=f"ppi must be a positive number, but it is {ppi}"):
             print_band(np.zeros((5, 5), np.uint8), ppi)
+
+
+def test_a_ball_is_unrolled_from_the_middle_of_its_known_skin() -> None:
+    """That column of the picture stays straight; every row is as long as its arc."""
+    radius_mm = 7.0
+    y, x = np.mgrid[:SIDE, :SIDE] * PITCH_MM
+    squared = (x - 5) ** 2 + (y - 7) ** 2
+    height = np.sqrt(radius_mm**2 - np.minimum(squared, 36)).astype(np.float32)
+    mask = (np.abs(x - 4) < 3) & (np.abs(y - 7) < 4)
+    columns, rows, slant_cos = band_places(mask, height, np.eye(3), (SIDE, SIDE), pitch_mm=PITCH_MM)
+    inner = slice(35, 105)
+    spread = np.ptp(columns[inner], axis=0)
+    straight = int(np.argmin(np.where(columns[70] > 0, spread, np.inf)))
+    assert np.ptp(columns[inner, straight]) < 0.1
+    assert columns[70, straight] == pytest.approx(4 / PITCH_MM, abs=5)
+    at_mm = columns * PITCH_MM, rows * PITCH_MM
+    skin = (np.abs(at_mm[0] - 4) < 2.5) & (np.abs(at_mm[1] - 7) < 3.5)
+    off_mm = np.hypot(at_mm[0] - 5, at_mm[1] - 7)[skin]
+    expected = np.sqrt(1 - (off_mm / radius_mm) ** 2)
+    np.testing.assert_allclose(slant_cos[skin], expected, atol=0.02)
+    # shifted by a step of the slopes' grid, one side would be too steep
+    side = np.sign(at_mm[1] - 7)[skin]
+    assert abs(((slant_cos[skin] - expected) * side).mean()) < 0.002
+
+
+def test_a_flat_shape_keeps_its_columns() -> None:
+    shape = np.zeros((SIDE, SIDE), np.float32)
+    columns, _, slant_cos = band_places(ALL, shape, np.eye(3), (SIDE, SIDE), pitch_mm=PITCH_MM)
+    assert columns.shape == (120, 120)
+    np.testing.assert_allclose(columns[7], 2 * np.arange(120), atol=1e-3)
+    assert (slant_cos[:, 2:-2] == 1).all()

@@ -118,6 +118,9 @@ def test_first_pixels_stand_in_the_lowest_bits() -> None:
 def test_heads_that_contradict_the_runs_are_refused(head: tuple[int, ...]) -> None:
     payload = pack(Template(np.zeros((1, 5), np.uint8), np.ones((1, 5), bool), 0.1))
     wrong = "the template's content contradicts itself; enroll the finger again."
+    nothing = struct.pack("<HHIHH", 5, 0, 1, 100, 0)
+    with pytest.raises(BadInput, match=wrong):
+        unpack(nothing)
     for data in (struct.pack("<HHIH", *head) + payload[10:], payload[:9], payload[:13]):
         with pytest.raises(BadInput) as caught:
             unpack(data)

@@ -13,7 +13,7 @@ from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
 from splitknit.model import Surface
 from splitknit_match.matching import features
-from splitknit_match.matching.surface import surface_images, surface_template
+from splitknit_match.matching.surface import MatchingSettings, surface_images, surface_template
 from splitknit_match.matching.thesis import (
     ATTRIBUTES,
     NORMALS,
@@ -331,6 +331,9 @@ def test_a_surface_is_matched_upright() -> None:
         length = math.sqrt(slope**2 + up**2 + 1)
         assert images.channels["shape_normal_x"][50, 50] == pytest.approx(slope / length, abs=1e-3)
         assert images.channels["shape_normal_y"][50, 50] == pytest.approx(up / length, abs=1e-3)
+    low = replace(surface(False), upright_size=(120, 200))
+    assert surface_images(low).mask.shape == (105, 150)
+    assert MatchingSettings().thesis == ThesisSettings()
     template = surface_template(surface(False))
     assert template.area_mm2 == pytest.approx(10 * 7.5, rel=0.06)
     narrow = replace(surface(False), upright_size=(120, 200))
