@@ -361,7 +361,10 @@ def test_calibrated_rates_are_counted() -> None:
     assert table(scores.min() - 1) == 1
     assert table(table.similarity[3]) == table.fmr[3]
     assert len(calibrate_scores(np.arange(1e4)).fmr) > 50
-    assert calibrate_scores(np.arange(100.0)).impostors == 100
+    few = calibrate_scores(np.arange(100.0))
+    assert few.impostors == 100
+    assert few.fmr[-2:].tolist() == [2 / 101, 1 / 101]
+    assert few.similarity[-2] == 99
     with pytest.raises(BadInput, match="at least 100 impostor scores, but there are 99"):
         calibrate_scores(np.arange(99.0))
     with pytest.raises(BadInput, match="NaN or infinite"):

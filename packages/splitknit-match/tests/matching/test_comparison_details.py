@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from splitknit_match.matching.fusion import _FusedMatch
 from splitknit_match.matching.inputs import Pixels, Side, held, is_of_minutiae, read_side
 from splitknit_match.matching.results import MatchDecision, PlaneAlignment, Rated
 from splitknit_match.matching.ridge import RidgeMatch
+from splitknit_match.matching.score import own_rates_document
 from splitknit_match.matching.template import Template, failed_template, pack
 from splitknit_match.matching.thesis import FingerImages, ImageMatch, ThesisSettings
 from splitknit_match.prints.minutiae import NFIQ2_FAILED
@@ -357,8 +359,21 @@ def test_options_reach_the_comparison(rated: list, tmp_path: Path) -> None:
         splitknit_match.match(target, payload, template=target)
     with pytest.raises(BadInput, match="is one of the inputs"):
         splitknit_match.make_template(target, target)
-    with pytest.raises(BadInput):
-        splitknit_match.make_template(payload, settings={"thesis.none": 1})
+    for verb in (
+        splitknit_match.make_template,
+        lambda *v, **how: splitknit_match.match(payload, *v, **how),
+    ):
+        with pytest.raises(BadInput, match="thesis"):
+            verb(payload, settings={"thesis.none": 1})
+        assert verb(payload, settings={"thesis.gate": 0.5})
+    own = tmp_path / "own.json"
+    document = own_rates_document(np.arange(200.0), "of mine", "fusion", 40.0)
+    own.write_text(json.dumps(document), encoding="utf-8")
+    splitknit_match.match(payload, payload, decision=own)
+    assert rated[-1][4].population == "of mine"
+    with pytest.raises(BadInput) as caught:
+        splitknit_match.match(payload, payload, "ridge", decision=own)
+    assert str(caught.value) == f"'{own}' is for the method fusion, but ridge compares these."
 
 
 def test_a_template_is_made_and_written(reads: list, tmp_path: Path) -> None:

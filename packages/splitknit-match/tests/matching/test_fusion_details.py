@@ -319,7 +319,13 @@ def test_agreeing_minutiae_count_for_an_alignment(monkeypatch) -> None:
     still = rigid(a.band, b.band, 0.0, 0.0, 0.0)
     agreement = compare_patches(b.first, a.band, still)
     monkeypatch.setattr(fusion, "likely_alignments", lambda a, b: [still + [[0, 0, 7]] * 2])
-    monkeypatch.setattr(fusion, "compare_patches", lambda *values: agreement)
+    bends = []
+
+    def compared(patches: object, band: object, affine: object, bend: object = None) -> Agreement:
+        bends.append((patches is b.patches, bend is not None))
+        return agreement
+
+    monkeypatch.setattr(fusion, "compare_patches", compared)
     monkeypatch.setattr(fusion, "refined", lambda a, b, affine, agreement: affine)
     for of_pairing, of_ridges, shift in ((5.0, 1.0, 0), (1.0, 5.0, 7)):
         counts = {True: of_pairing, False: of_ridges}
@@ -328,7 +334,10 @@ def test_agreeing_minutiae_count_for_an_alignment(monkeypatch) -> None:
             "_agreeing_minutiae",
             lambda a, b, patches, affine, bend, counts=counts: (counts[bend is not None], 9.0),
         )
+        bends.clear()
         best = fusion._best_alignment(a, b, [pairing], math.inf)
+        # scored where minutiae bend it, as it is otherwise
+        assert bends[2:] == [(True, shift == 0), (True, True), (True, True)]
         np.testing.assert_allclose(best.affine[:, 2], [shift, shift], atol=1.0)
         # minutiae that are sure leave no alignment of ridges to choose
         sure = fusion._best_alignment(a, b, [pairing], pairing.support)
@@ -338,3 +347,29 @@ def test_agreeing_minutiae_count_for_an_alignment(monkeypatch) -> None:
 def test_a_match_without_details_was_not_compared() -> None:
     assert RidgeMatch(-1.0) == RidgeMatch(-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, compared=False)
     assert RidgeMatch(-1.0).compared is False
+
+
+def test_a_small_print_is_laid_on_the_larger_one(monkeypatch) -> None:
+    laid = []
+
+    def best_pose(a: Prepared, b: Prepared, pairings: list) -> None:
+        laid.append((a.template.area_mm2, b.template.area_mm2))
+        raise StopIteration
+
+    monkeypatch.setattr(fusion, "_best_pose", best_pose)
+    for seed in range(4):
+        pair = print_of(seed, 90, 80), print_of(seed + 4, 60, 70)
+        for sides in (pair, pair[::-1]):
+            with pytest.raises(StopIteration):
+                fused_match(*sides)
+    np.testing.assert_allclose(laid, [(72.0, 42.0)] * 8)
+
+
+def test_poses_without_overlap_were_not_compared(monkeypatch) -> None:
+    a, b = Prepared(print_of(3, 90, 80)), Prepared(print_of(3, 60, 70))
+    for overlap_mm2 in (0.0, 0.4):
+        monkeypatch.setattr(
+            fusion, "overlap_correlation", lambda *values, area=overlap_mm2: (0.5, area)
+        )
+        pose = fusion._best_pose(a, b, [])
+        assert pose.ridge == RidgeMatch(0.5, 0.5, overlap_mm2, compared=overlap_mm2 > 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -268,3 +269,17 @@ def test_places_beyond_the_picture_are_not_on_ridges() -> None:
 )
 def test_angles_lie_within_half_a_turn(angle: float, wrapped: float) -> None:
     assert minutia_pairs._wrapped(np.array(angle)) == pytest.approx(wrapped)
+
+
+def test_of_many_minutiae_the_best_hundred_are_compared() -> None:
+    rng = np.random.default_rng(1)
+    places = [(float(x), float(y), 0.0) for x, y in rng.integers(20, 280, (130, 2))]
+    minutiae = minutiae_at(places, (300, 300))
+    quality = np.full(130, 50, np.uint8)
+    quality[120:] = 60
+    quality[5] = 40
+    minutiae = replace(minutiae, quality=quality)
+    cylinders = minutia_cylinders(minutiae, np.ones((152, 152), bool), PITCH_MM)
+    kept = [k for k in range(91) if k != 5] + list(range(120, 130))
+    x = np.array(places)[kept, 0]
+    np.testing.assert_allclose(cylinders.place.real, -(x - 149.5) * 0.0508)

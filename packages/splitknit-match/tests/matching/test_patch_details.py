@@ -335,3 +335,28 @@ def test_spectra_are_over_the_root_of_the_number() -> None:
     assert spectrum.dtype == np.complex64
     np.testing.assert_allclose(spectrum, np.fft.rfft2(values) / np.sqrt(48), atol=1e-5)
     assert elastic.spectrum_of(values, (10, 12)).shape == (2, 10, 7)
+
+
+def test_a_bend_is_laid_where_its_patches_lie() -> None:
+    """Where the bend grows across the finger, the search finds what takes it back."""
+    b = texture(4, 150, 130)
+    patches = patch_grid(b)
+    grown = 0.06 * (patches.origin[0] + 16 * np.arange(patches.grid[1]) - 65)
+    bend = np.zeros((*patches.grid, 2), np.float32)
+    bend[..., 0] = grown
+    agreement = compare_patches(patches, b, IDENTITY, bend)
+    expected = -grown[patches.cell[agreement.used, 1]]
+    assert abs(np.median(agreement.shift[:, 0] - expected)) < 0.08
+    assert abs(np.median(agreement.shift[:, 1])) < 0.05
+    inner = np.abs(expected) < 2
+    np.testing.assert_allclose(agreement.shift[inner, 0], expected[inner], atol=0.2)
+
+
+def test_windows_of_odd_sides_are_searched_too() -> None:
+    b = replace(texture(4, 150, 130), pitch_mm=0.096)
+    patches = patch_grid(b)
+    assert (patches.side, patches.reach) == (25, 4)
+    a = replace(b, value=np.roll(b.value, (3, -2), axis=(0, 1)))
+    agreement = compare_patches(patches, a, IDENTITY)
+    inner = agreement.used[10:-10]
+    np.testing.assert_allclose(agreement.shift[inner], np.tile([2, -3], (len(inner), 1)), atol=0.05)

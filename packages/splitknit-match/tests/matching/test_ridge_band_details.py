@@ -214,13 +214,32 @@ def test_a_ball_is_unrolled_from_the_middle_of_its_known_skin() -> None:
     assert np.ptp(columns[inner, straight]) < 0.1
     assert columns[70, straight] == pytest.approx(4 / PITCH_MM, abs=5)
     at_mm = columns * PITCH_MM, rows * PITCH_MM
-    skin = (np.abs(at_mm[0] - 4) < 2.5) & (np.abs(at_mm[1] - 7) < 3.5)
+    skin = (np.abs(at_mm[0] - 4) < 1.5) & (np.abs(at_mm[1] - 7) < 2.5)
     off_mm = np.hypot(at_mm[0] - 5, at_mm[1] - 7)[skin]
     expected = np.sqrt(1 - (off_mm / radius_mm) ** 2)
     np.testing.assert_allclose(slant_cos[skin], expected, atol=0.02)
     # shifted by a step of the slopes' grid, one side would be too steep
     side = np.sign(at_mm[1] - 7)[skin]
     assert abs(((slant_cos[skin] - expected) * side).mean()) < 0.002
+
+
+def test_steep_sides_are_unrolled_as_if_they_were_less_steep() -> None:
+    """A roof whose slope is 3 beyond 2 mm: steps as at 60 degrees, on both sides."""
+    x = (np.arange(SIDE) - 119.5) * PITCH_MM
+    roof = np.broadcast_to(-3 * np.maximum(np.abs(x) - 2, 0), (SIDE, SIDE)).astype(np.float32)
+    columns, _, _ = band_places(ALL, roof, np.eye(3), (SIDE, SIDE), pitch_mm=PITCH_MM)
+    steps = np.diff(columns[60])
+    for side in (columns[60, :-1] < 50) & (columns[60, :-1] > 20), columns[60, :-1] > 190:
+        inner = side & (columns[60, :-1] < 220)
+        np.testing.assert_allclose(steps[inner], 1.0, atol=0.02)
+
+
+def test_an_offset_of_the_relief_changes_nothing_up_to_the_edge() -> None:
+    mask = np.zeros((SIDE, SIDE), bool)
+    mask[40:200, 50:190] = True
+    plain, offset = (ridge_band(wave(0.4) + add, mask, PITCH_MM) for add in (0, np.float32(20)))
+    np.testing.assert_array_equal(plain.valid, offset.valid)
+    np.testing.assert_allclose(plain.value, offset.value, atol=0.01)
 
 
 def test_a_flat_shape_keeps_its_columns() -> None:

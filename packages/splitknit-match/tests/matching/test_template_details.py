@@ -36,9 +36,9 @@ def minutiae_at(places: list[tuple[int, int]], size: tuple[int, int]) -> Minutia
     return Minutiae(
         x,
         y,
-        np.arange(count) * (np.pi / 16),
+        np.arange(count) % 32 * (np.pi / 16),
         np.ones(count, np.uint8),
-        np.arange(count, dtype=np.uint8) + 50,
+        (np.arange(count) % 50 + 50).astype(np.uint8),
         size,
     )
 
@@ -227,3 +227,16 @@ def test_minutiae_lie_on_the_ridges_they_were_found_on() -> None:
     failed = with_minutiae(failed_template(), valid, minutiae_at(places, size))
     assert failed.minutiae.count == len(places)
     assert failed.empty
+
+
+def test_minutiae_are_kept_up_to_the_border() -> None:
+    template = full(60, 55)
+    valid = np.zeros((100, 90), bool)
+    valid[20:80, 30:85] = True
+    size = 200, 180
+    across = minutiae_at([(x, 100) for x in range(180)], size)
+    down = minutiae_at([(60, y) for y in range(200)], size)
+    rows, columns = print_size(template)
+    kept = with_minutiae(template, valid, across).minutiae
+    assert kept.x_px.tolist() == list(range(columns))
+    assert with_minutiae(template, valid, down).minutiae.y_px.tolist() == list(range(rows))

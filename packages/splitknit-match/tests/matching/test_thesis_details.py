@@ -18,6 +18,7 @@ from splitknit_match.matching.thesis import (
     ATTRIBUTES,
     NORMALS,
     FingerImages,
+    ImageMatch,
     ThesisSettings,
     align_masks,
     best_shift,
@@ -334,6 +335,7 @@ def test_a_surface_is_matched_upright() -> None:
     low = replace(surface(False), upright_size=(120, 200))
     assert surface_images(low).mask.shape == (105, 150)
     assert MatchingSettings().thesis == ThesisSettings()
+    assert ImageMatch(1.0, {}, 1.0, 0).dissimilarity == {}
     template = surface_template(surface(False))
     assert template.area_mm2 == pytest.approx(10 * 7.5, rel=0.06)
     narrow = replace(surface(False), upright_size=(120, 200))
