@@ -363,6 +363,7 @@ def test_calibrated_rates_are_counted() -> None:
     assert len(calibrate_scores(np.arange(1e4)).fmr) > 50
     few = calibrate_scores(np.arange(100.0))
     assert few.impostors == 100
+    assert few.basis == FmrBasis(100, "", 1 / 101)
     assert few.fmr[-2:].tolist() == [2 / 101, 1 / 101]
     assert few.similarity[-2] == 99
     with pytest.raises(BadInput, match="at least 100 impostor scores, but there are 99"):

@@ -19,7 +19,7 @@ from splitknit_match.matching import inputs, methods, thesis
 from splitknit_match.matching import match as match_module
 from splitknit_match.matching.fusion import _FusedMatch
 from splitknit_match.matching.inputs import Pixels, Side, held, is_of_minutiae, read_side
-from splitknit_match.matching.results import MatchDecision, PlaneAlignment, Rated
+from splitknit_match.matching.results import Match, MatchDecision, PlaneAlignment, Rated
 from splitknit_match.matching.ridge import RidgeMatch
 from splitknit_match.matching.score import own_rates_document
 from splitknit_match.matching.template import Template, failed_template, pack
@@ -183,6 +183,16 @@ def test_minutiae_are_counted_and_prints_judged(rated: list, monkeypatch) -> Non
     compared("minutiae", surface, record)
     assert rated[-1][1] == "minutiae_of_prints"
 
+    def refuse(*values: Any) -> None:
+        raise BadInput("no print.")
+
+    monkeypatch.setattr(methods, "extract", refuse)
+    with pytest.raises(BadInput, match=r"a\.png.*no print"):
+        methods.side_minutiae(surface)
+    monkeypatch.setattr("splitknit.finger.ridges.surface_print", refuse)
+    with pytest.raises(BadInput, match=r"a\.png.*no print"):
+        methods.side_minutiae(surface)
+
 
 def test_images_of_surfaces_are_compared(rated: list, monkeypatch) -> None:
     images = iter([FingerImages({}, np.ones((2, 2), bool), 20.0), "b", "a", "b"])
@@ -245,6 +255,8 @@ def test_a_mirrored_print_is_doubted(rated: list, monkeypatch) -> None:
     match = compared("fusion", a, b)
     assert asked[-1] == (a.template, b.template, 0.01, None)
     assert (match.answer, match.undecided) == ("undecided", methods.reason(doubt))
+    compared("fusion", a, b, own="own")
+    assert asked[-1] == (a.template, b.template, 0.01, "own")
 
 
 def test_findings_of_both_sides_are_kept_worst_first(rated: list) -> None:
@@ -483,3 +495,28 @@ def test_scores_are_printed_where_they_are_wanted(rated: list, tmp_path: Path) -
         match_module.match_or_make_template(path, template=tmp_path / "b.skt", fmr=0.1)
     made = match_module.match_or_make_template(path, template=tmp_path / "b.skt")
     assert made.template.file == str(tmp_path / "b.skt")
+
+
+@pytest.mark.parametrize(("input_ppi", "known"), [(400.0, True), (None, False)])
+def test_a_stated_resolution_is_the_scale_of_a_photograph(
+    reads: list, monkeypatch, input_ppi: float | None, known: bool
+) -> None:
+    handed: dict[str, Any] = {}
+    match = compared_once()
+
+    def compare(*sides: Any, **options: Any) -> Any:
+        handed.update(options)
+        return match
+
+    monkeypatch.setattr(methods, "compare_sides", compare)
+    image = np.zeros((9, 9), np.uint8)
+    splitknit_match.match(image, "photo", input_ppi=input_ppi, resolution_ppi=500)
+    assert handed["known_scale"] is known
+    assert isinstance(reads[0][0], Pixels)
+
+
+def compared_once() -> Any:
+    """Some comparison."""
+    record = Side(Path("a.fmr"), "minutiae", minutiae=some_minutiae(3))
+    sides = methods.compared_side(record)
+    return Match(method="minutiae", a=sides, b=sides, similarity=0.0, compared=False)

@@ -360,3 +360,10 @@ def test_windows_of_odd_sides_are_searched_too() -> None:
     agreement = compare_patches(patches, a, IDENTITY)
     inner = agreement.used[10:-10]
     np.testing.assert_allclose(agreement.shift[inner], np.tile([2, -3], (len(inner), 1)), atol=0.05)
+
+
+def test_nothing_in_common_is_an_agreement_of_none(band: RidgeBand, patches: PatchGrid) -> None:
+    agreement = compare_patches(patches, replace(band, valid=np.zeros_like(band.valid)), IDENTITY)
+    assert agreement.shift.shape == (0, 2)
+    assert len(agreement.used) == len(agreement.correlation) == len(agreement.weight) == 0
+    assert agreement.mean == agreement.evidence == 0

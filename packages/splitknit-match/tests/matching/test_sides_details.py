@@ -17,6 +17,7 @@ from splitknit_match.matching.inputs import Pixels, print_template, read_side
 from splitknit_match.matching.template import failed_template
 from splitknit_match.prints import fingerphoto, from_file, make, pressed
 from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
+from splitknit_match.records.minutiae_record import FingerView
 
 PPI = 500.0
 
@@ -271,3 +272,35 @@ def test_folders_hold_a_surface_or_a_capture(monkeypatch, tmp_path: Path) -> Non
         path.write_bytes(b"")
         side = read_side(path, "snk")
         assert (side.path, side.kind, read[-1]) == (path, "result", path)
+
+
+def test_results_in_memory_and_records_are_sides(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(inputs, "surface_template", lambda surface: failed_template())
+    monkeypatch.setattr(inputs, "surface_of", lambda result: "surface")
+    result = object.__new__(inputs.Reconstruction)
+    capture = object.__new__(inputs.Capture)
+    asked = []
+    monkeypatch.setattr(inputs, "_reconstructed", lambda *v: asked.append(v) or result)
+    for finger in (result, capture):
+        side = read_side(finger, "snk", print)
+        assert (side.path, side.kind) == (Path("reconstruction"), "result")
+        assert side.surface == "surface"
+    assert asked == [(capture, "snk", print)]
+    view = object.__new__(FingerView)
+    path = tmp_path / "a.fmr"
+    path.write_bytes(b"")
+    monkeypatch.setattr(fingerphoto, "fingerphoto", lambda path: None)
+    monkeypatch.setattr(from_file, "read_one_finger", lambda path, ppi: view)
+    monkeypatch.setattr(from_file, "minutiae_of", lambda view: some_minutiae(5))
+    side = read_side(path, "snk")
+    assert (side.path, side.kind, side.minutiae.count) == (path, "minutiae", 5)
+
+    def refuse(*values: Any) -> None:
+        raise BadInput("it is damaged.")
+
+    monkeypatch.setattr(from_file, "minutiae_of", refuse)
+    with pytest.raises(BadInput, match=r"a\.fmr.*it is damaged"):
+        read_side(path, "snk")
+    monkeypatch.setattr(inputs, "surface_template", refuse)
+    with pytest.raises(BadInput, match=r"reconstruction.*it is damaged"):
+        read_side(result, "snk")
