@@ -406,6 +406,8 @@ def test_a_template_is_made_and_written(reads: list, tmp_path: Path) -> None:
     assert made.payload == side_of("print").payload
     assert made.template.bytes == target.stat().st_size
     assert made.a.path == "photo"
+    match_module.match_or_make_template("photo", template=target, preset="lin")
+    assert reads[-1][:2] == (Path("photo"), "lin")
     assert splitknit_match.make_template(np.zeros((9, 9), np.uint8), resolution_ppi=500).a
     assert isinstance(reads[-1][0], Pixels)
 

@@ -228,6 +228,8 @@ def test_minutiae_of_different_places_are_counted_where_both_show_them(side: Tem
     assert possible == pytest.approx(math.sqrt(in_a.sum() * 20), rel=0.1)
     moved = rigid(a.band, b.band, 0.0, 3.0, 0.0)
     assert fusion._agreeing_minutiae(a, b, patches, moved, None)[0] < 0.5 * count
+    bend = np.full((*patches.grid, 2), 20, np.float32)
+    assert fusion._agreeing_minutiae(a, b, patches, np.eye(2, 3), bend)[0] < 0.5 * count
 
 
 @pytest.mark.parametrize("pitch_mm", [0.1, 0.12])
