@@ -223,6 +223,7 @@ def test_a_rate_is_looked_up_below_its_similarity() -> None:
     assert rated.fmr_basis == FmrBasis(999, "of a test", 0.001)
     assert rated.answer == "match"
     assert rated.undecided is None
+    assert rated.fmr_missing is None
     assert rated.decision.fmr == 0.01
     assert rated.decision.match
     assert rated.decision.expected_fmr is None
