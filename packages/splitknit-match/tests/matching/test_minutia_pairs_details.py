@@ -65,7 +65,8 @@ def test_places_are_as_a_camera_sees_them(cylinders: Cylinders) -> None:
 def test_cylinders_are_sums_over_the_other_minutiae(cylinders: Cylinders) -> None:
     line = 2 * 3.556 / 8 * (np.arange(8) - 3.5)
     levels = (2 * np.pi / 6 * np.arange(6) + np.pi) % (2 * np.pi) - np.pi
-    print_right_mm, left_mm = 7.55 + 0.5, -7.55 + 4.0 - 0.5
+    # 0.5 mm, and half a pixel, beyond the outermost pixels
+    print_right_mm, left_mm = 8.1, -4.1
     for own in (0, 5, 9):
         number = 0
         for right in line:
@@ -74,14 +75,14 @@ def test_cylinders_are_sums_over_the_other_minutiae(cylinders: Cylinders) -> Non
                     continue
                 turn = cylinders.turn[own]
                 cell = cylinders.place[own] + (right + 1j * up) * np.exp(1j * turn)
-                known = left_mm <= cell.real <= print_right_mm and abs(cell.imag) <= 8.05
+                known = left_mm <= cell.real <= print_right_mm and abs(cell.imag) <= 8.1
                 clear = min(
                     abs(cell.real - left_mm),
                     abs(cell.real - print_right_mm),
-                    abs(abs(cell.imag) - 8.05),
+                    abs(abs(cell.imag) - 8.1),
                 )
                 for level in levels:
-                    if clear > 0.15:
+                    if clear > 1e-3:
                         total = 0.0
                         for k, place in enumerate(cylinders.place):
                             if k == own:
@@ -283,3 +284,13 @@ def test_of_many_minutiae_the_best_hundred_are_compared() -> None:
     kept = [k for k in range(91) if k != 5] + list(range(120, 130))
     x = np.array(places)[kept, 0]
     np.testing.assert_allclose(cylinders.place.real, -(x - 149.5) * 0.0508)
+
+
+def test_cells_are_known_up_to_the_margin(cylinders: Cylinders) -> None:
+    """0.5 mm, and half a pixel, beyond the outermost pixels."""
+    line = 2 * 3.556 / 8 * (np.arange(8) - 3.5)
+    cells = line[:, None] + 1j * line
+    cells = cells[np.abs(cells) <= 3.556]
+    place = cylinders.place[:, None] + cells * np.exp(1j * cylinders.turn)[:, None]
+    known = (place.real > -4.1) & (place.real < 8.1) & (np.abs(place.imag) < 8.1)
+    np.testing.assert_array_equal(cylinders.known[:, ::6] > 0, known)

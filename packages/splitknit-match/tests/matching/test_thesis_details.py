@@ -347,3 +347,23 @@ def test_a_surface_is_matched_upright() -> None:
     steep = surface(False)
     steep = replace(steep, shape_mm=40 * steep.shape_mm)
     assert surface_template(steep).area_mm2 < 60
+
+
+def blunt(tip: int) -> np.ndarray:
+    """A mask of 100 x 100 pixels whose first row has one alone."""
+    mask = np.ones((100, 100), bool)
+    mask[0] = False
+    mask[0, tip] = True
+    return mask
+
+
+def test_tips_are_believed_to_a_quarter_of_the_width() -> None:
+    assert align_masks(blunt(30), blunt(54)) == (0, pytest.approx(9900 / 9902))
+    assert align_masks(blunt(30), blunt(70))[0] != 0
+
+
+def test_the_authors_shift_is_found_to_the_pixel_on_small_scales() -> None:
+    """At 15 px/mm five pixels of 75.7 px/mm are one."""
+    zero = {"relief": np.zeros((100, 100), np.float32)}
+    pair = (code_side(FingerImages(zero, blunt(tip), 15.0)) for tip in (30, 31))
+    assert code_match(*pair).shift_px == 0
