@@ -204,7 +204,7 @@ def agreeing(laid: Directed, minutiae: Directed) -> float:
     distance = np.abs(laid[0][:, None] - minutiae[0])
     turn = _wrapped(laid[1][:, None] - minutiae[1])
     fit = np.exp(-((distance / FITS_MM) ** 2) - (turn / FITS_RAD) ** 2)
-    mutual = (fit == fit.max(axis=1, keepdims=True)) & (fit == fit.max(axis=0, keepdims=True))
+    mutual = (fit == fit.max(axis=1, keepdims=True)) & (fit == fit.max(axis=0))
     return float(fit[mutual].sum())
 
 

@@ -123,14 +123,7 @@ class Match(Rated):
     @property
     def facts(self) -> dict[str, Any]:
         """The same as plain JSON."""
-        kept = (
-            "fmr",
-            "fmr_missing",
-            "fmr_basis",
-            "decision",
-            "undecided",
-            "similarity_of_minutiae",
-        )
+        kept = ("fmr", "fmr_missing", "fmr_basis", "decision", "undecided")
         return dict(known_json(self, (*kept, "nfiq2") if self.method == "minutiae" else kept))
 
     def __str__(self) -> str:

@@ -75,8 +75,7 @@ def to_box(image: FloatArray, size: tuple[int, int]) -> FloatArray:
     """`image` (h, w) resampled to `size` (rows, columns): step 4 of the thesis's alignment."""
     if image.shape == size:
         return image
-    smaller = size[0] < image.shape[0] or size[1] < image.shape[1]
-    method = cv2.INTER_AREA if smaller and min(image.shape) > 2 * min(size) else cv2.INTER_LINEAR
+    method = cv2.INTER_AREA if min(image.shape) > 2 * min(size) else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size[::-1], interpolation=method), dtype=np.float32)
 
 
