@@ -34,7 +34,7 @@ def rows_of(table: dict[str, np.ndarray]) -> list[dict[str, object]]:
     """Rows of a table of the store."""
     return [
         dict(zip(table, row, strict=True))
-        for row in zip(*(one.tolist() for one in table.values()), strict=True)
+        for row in zip(*(column.tolist() for column in table.values()), strict=True)
     ]
 
 

@@ -27,7 +27,7 @@ def test_all_fingers_of_all_pairs_of_sessions() -> None:
 
 def test_a_share_keeps_all_genuine_ones_and_grows_without_changing() -> None:
     few, more = all_pairs(CAPTURES, 0.2, 7), all_pairs(CAPTURES, 0.5, 7)
-    named = [set(zip(one.a.tolist(), one.b.tolist(), strict=True)) for one in (few, more)]
+    named = [set(zip(pairs.a.tolist(), pairs.b.tolist(), strict=True)) for pairs in (few, more)]
     assert named[0] < named[1]
     assert few.genuine.sum() == 3 * 14
     assert 0.13 < (~few.genuine).sum() / (3 * 14 * 13) < 0.27
@@ -37,8 +37,8 @@ def test_a_share_keeps_all_genuine_ones_and_grows_without_changing() -> None:
         if not same
     )
     assert set(of_fingers.values()) == {2 * 3}  # both ways round in all three pairs of sessions
-    other = all_pairs(CAPTURES, 0.2, 8)
-    assert set(zip(other.a.tolist(), other.b.tolist(), strict=True)) != named[0]
+    reseeded = all_pairs(CAPTURES, 0.2, 8)
+    assert set(zip(reseeded.a.tolist(), reseeded.b.tolist(), strict=True)) != named[0]
 
 
 def test_blocks_hold_every_comparison_once_and_stay_small(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,10 +32,10 @@ def surface() -> tuple[Surface, np.ndarray]:
     return Surface(ridge, shape, normals, mask, 0.033, matrix, (70, 48)), height
 
 
-def assert_equal(one: Surface, other: Surface) -> None:
+def assert_equal(actual: Surface, expected: Surface) -> None:
     for field in fields(Surface):
         np.testing.assert_array_equal(
-            getattr(one, field.name), getattr(other, field.name), err_msg=field.name
+            getattr(actual, field.name), getattr(expected, field.name), err_msg=field.name
         )
 
 
@@ -50,12 +50,12 @@ def test_relief_and_normals_of_their_own_come_back_too() -> None:
     # normals of a perspective camera, and a relief that is not the surface minus the shape
     kept, height = surface()
     turned = np.where(kept.mask[..., None], kept.normals[..., ::-1], 0).astype(np.float32)
-    other = replace(
+    of_its_own = replace(
         kept, normals=turned, ridge_mm=(kept.ridge_mm * np.float32(1.7)).astype(np.float32)
     )
     for whole in (False, True):
-        given = replace(other, whole=whole)
-        assert_equal(unpack_surface(pack_surface(given, height)), given)
+        packed = replace(of_its_own, whole=whole)
+        assert_equal(unpack_surface(pack_surface(packed, height)), packed)
         assert unpack_surface(pack_surface(replace(kept, whole=whole), height)).whole == whole
 
 

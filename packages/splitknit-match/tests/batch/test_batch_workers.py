@@ -130,7 +130,7 @@ def tls(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path, P
     """Address of a cluster, the certificates of its CA, and those of another one."""
     distributed = pytest.importorskip("distributed")
     folder = tmp_path_factory.mktemp("tls")
-    good, other = certificates(folder / "good"), certificates(folder / "other")
+    good, foreign = certificates(folder / "good"), certificates(folder / "other")
     pair = {
         f"tls_{role}_{kind}": str(good / f"{kind}.pem")
         for role in ("scheduler", "worker", "client")
@@ -149,14 +149,16 @@ def tls(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path, P
         dashboard_address="127.0.0.1:0",
         silence_logs="CRITICAL",
     ) as cluster:
-        yield cluster.scheduler_address, good, other
+        yield cluster.scheduler_address, good, foreign
 
 
 def listening() -> int:
     """Ports that this process listens on."""
     import psutil
 
-    return sum(one.status == "LISTEN" for one in psutil.Process().net_connections("tcp"))
+    return sum(
+        connection.status == "LISTEN" for connection in psutil.Process().net_connections("tcp")
+    )
 
 
 @pytest.mark.parametrize(
@@ -217,14 +219,14 @@ def test_a_cluster_is_used_by_whom_its_ca_knows(
     capsys: Any,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    address, good, other = tls
+    address, good, foreign = tls
     monkeypatch.setattr(tasks, "PATIENCE_S", 10.0)
     words = ["batch", str(people), "--cases", "ea", "--matchers", "none"]
     mixed = tmp_path / "mixed"
-    shutil.copytree(other, mixed)
+    shutil.copytree(foreign, mixed)
     shutil.copy(good / "ca.pem", mixed)  # trusts the scheduler, which does not trust it
     for certificates_of, wrong in (
-        (other, address),
+        (foreign, address),
         (mixed, address),
         (tmp_path, address),
         (good, "tcp" + address[3:]),
@@ -274,7 +276,7 @@ def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(
 ) -> None:
     import dask
 
-    address, good, other = tls
+    address, good, foreign = tls
     before = listening()
     weak = {
         "distributed.comm.require-encryption": False,
@@ -285,7 +287,7 @@ def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(
             assert sizes(double, [4], Workers(1, client)) == [8]
             assert listening() == before
     with (
-        configured(other),
+        configured(foreign),
         dask.config.set(weak),
         pytest.raises(BadInput, match="verify failed"),
         connected(address),
@@ -428,7 +430,8 @@ while hits < 3:
         stores += 1
 run(people, out, "ridge")
 assert contents(out) == sound, "the finished store differs"
-assert not [left for left in out.rglob("*.tmp") if any(left.iterdir())], "something half-written is left"
+halves = [folder for folder in out.rglob("*.tmp") if any(folder.iterdir())]
+assert not halves, "something half-written is left"
 print("sound")
 """
 
@@ -436,7 +439,7 @@ print("sound")
 @pytest.mark.slow
 def test_kills_at_any_moment_lose_and_change_no_byte(people: Path, tmp_path: Path) -> None:
     arguments = [str(people), str(tmp_path), str(Path(__file__).parents[1])]
-    found = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", MANY_KILLED, *arguments], capture_output=True, text=True, check=False
     )
-    assert found.stdout == "sound\n", found.stderr
+    assert process.stdout == "sound\n", process.stderr

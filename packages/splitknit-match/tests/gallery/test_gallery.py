@@ -64,16 +64,18 @@ def file(tmp_path: Path, key: Key | None) -> Path:
 
 def people(path: Path, key: Key | None) -> list[str]:
     with GalleryFile(path, key) as gallery:
-        return [one.words for one in gallery]
+        return [row.words for row in gallery]
 
 
 def test_what_is_put_in_comes_out(file: Path, key: Key | None) -> None:
     with GalleryFile(file, key) as gallery:
         assert len(gallery) == 5
-        found = gallery.entries()
-        assert [one.person for one in found] == ["Ann", "Ann", "Bob", "Bob", "Zoë"]
-        assert [one.template_bytes for one in found] == [len(payload(1))] * 4 + [0]
-        assert replace(found[0], template_bytes=0, template_sha256="", row=0) == new("Ann", 1).entry
+        entries = gallery.entries()
+        assert [entry.person for entry in entries] == ["Ann", "Ann", "Bob", "Bob", "Zoë"]
+        assert [entry.template_bytes for entry in entries] == [len(payload(1))] * 4 + [0]
+        assert (
+            replace(entries[0], template_bytes=0, template_sha256="", row=0) == new("Ann", 1).entry
+        )
         assert gallery.people().templates == {
             1: payload(1),
             2: payload(2),
@@ -81,10 +83,10 @@ def test_what_is_put_in_comes_out(file: Path, key: Key | None) -> None:
             4: payload(4),
             5: b"",
         }
-        assert list(gallery) == found
-        assert list(gallery.people("Bob").of("Bob", None)) == found[2:4]
-        assert [one.row for one in gallery.entries("Bob", session="2")] == [4]
-        assert [one.row for one in gallery.entries(finger="left_thumb")] == [2]
+        assert list(gallery) == entries
+        assert list(gallery.people("Bob").of("Bob", None)) == entries[2:4]
+        assert [entry.row for entry in gallery.entries("Bob", session="2")] == [4]
+        assert [entry.row for entry in gallery.entries(finger="left_thumb")] == [2]
         assert gallery.settings_sha256 == SETTINGS
 
 
@@ -217,7 +219,7 @@ def test_what_became_free_is_used_again(file: Path, key: Key | None) -> None:
 @pytest.mark.slow
 def test_all_sides_of_a_key(tmp_path: Path) -> None:
     pytest.importorskip("sqlcipher3")
-    phrase, other = Key("correct 'horse'"), Key("ab" * 32)
+    phrase, digits = Key("correct 'horse'"), Key("ab" * 32)
     secrets = [b"Ann", b"right_index", payload(1)[40:60]]
     for path, own in (
         (tmp_path / "plain", None),
@@ -226,8 +228,8 @@ def test_all_sides_of_a_key(tmp_path: Path) -> None:
     ):
         with GalleryFile(path, own) as gallery:
             gallery.add([new("Ann Example", 1)], SETTINGS)
-        assert [one in path.read_bytes() for one in secrets] == [own is None] * 3
-        for wrong in (None, phrase, other, KEY):
+        assert [secret in path.read_bytes() for secret in secrets] == [own is None] * 3
+        for wrong in (None, phrase, digits, KEY):
             if wrong is own or wrong == own:
                 continue
             words = "not encrypted; leave" if own is None else "it is encrypted; give its key"
@@ -382,10 +384,10 @@ def test_writers_wait_for_each_other_and_lose_nothing(file: Path, key: Key | Non
                 gallery.add([new(f"W{number}", 1000 * number + k, session=str(k))], SETTINGS)
 
     threads = [threading.Thread(target=write, args=(number,)) for number in range(4)]
-    for one in threads:
-        one.start()
-    for one in threads:
-        one.join()
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
     with GalleryFile(file, key) as gallery:
         assert len(gallery) == 45
         assert len(gallery.people().templates) == 45
@@ -407,25 +409,25 @@ def test_one_who_waits_too_long_is_told(
 
 
 def test_a_file_that_is_replaced_meanwhile_is_left_alone(file: Path, key: Key | None) -> None:
-    other = file.with_name("other.skg")
-    other.write_bytes(file.read_bytes())
+    other_file = file.with_name("other.skg")
+    other_file.write_bytes(file.read_bytes())
     with (
         GalleryFile(file, key) as gallery,
         pytest.raises(BadInput, match="was replaced or removed meanwhile"),
     ):
-        gallery.add([new("Dan", 8)], SETTINGS, last=lambda: other.replace(file))
+        gallery.add([new("Dan", 8)], SETTINGS, last=lambda: other_file.replace(file))
     assert len(people(file, key)) == 5
 
 
 def test_a_link_in_place_of_the_journal_leads_nowhere(
     file: Path, key: Key | None, tmp_path: Path
 ) -> None:
-    other = tmp_path / "other"
-    other.write_bytes(b"not ours" * 1000)
-    Path(f"{file}-wal").symlink_to(other)
+    other_file = tmp_path / "other"
+    other_file.write_bytes(b"not ours" * 1000)
+    Path(f"{file}-wal").symlink_to(other_file)
     with GalleryFile(file, key) as gallery, pytest.raises(BadInput, match="cannot be opened"):
         gallery.add([new("Cid", 9)], SETTINGS)
-    assert other.read_bytes() == b"not ours" * 1000
+    assert other_file.read_bytes() == b"not ours" * 1000
 
 
 KILLED = """
@@ -492,10 +494,10 @@ print("sound")
 def test_thirty_killed_writers_lose_nothing(file: Path, key: Key | None) -> None:
     """What was told as done is there, of what was under way all or nothing."""
     arguments = [str(file), str(Path(__file__).parent), "plain" if key is None else "encrypted"]
-    found = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", KILLED, *arguments], capture_output=True, text=True, check=False
     )
-    assert found.stdout == "sound\n", found.stderr
+    assert process.stdout == "sound\n", process.stderr
 
 
 def test_an_interrupt_in_the_middle_changes_nothing(file: Path, key: Key | None) -> None:

@@ -33,23 +33,23 @@ def check(value: Any, schema: dict[str, Any], known: dict[str, Any]) -> None:
         assert set(schema["required"]) <= set(value) <= set(schema["properties"]), set(value) ^ set(
             schema["properties"]
         )
-        for name, one in value.items():
-            check(one, schema["properties"][name], known)
+        for name, field_value in value.items():
+            check(field_value, schema["properties"][name], known)
     elif "anyOf" in schema:
         failed = []
-        for one in schema["anyOf"]:
+        for alternative in schema["anyOf"]:
             try:
-                check(value, one, known)
+                check(value, alternative, known)
             except (AssertionError, TypeError) as error:
                 failed.append(error)
         assert len(failed) < len(schema["anyOf"]), (value, schema)
     elif schema["type"] == "object":
-        for one in value.values():
-            check(one, schema["additionalProperties"], known)
+        for element in value.values():
+            check(element, schema["additionalProperties"], known)
     else:
         assert isinstance(value, KINDS[schema["type"]]), (value, schema)
-        for one in value if schema["type"] == "array" else ():
-            check(one, schema["items"], known)
+        for element in value if schema["type"] == "array" else ():
+            check(element, schema["items"], known)
 
 
 @pytest.mark.slow

@@ -78,7 +78,7 @@ def test_it_finds_what_comparing_all_finds(gallery) -> None:
     probe = cylinders(seen(7, 1.0, (5.0, 5.0), again=1))
     support = {
         row: max(
-            (one.support for one in pair_minutiae(probe, cylinders(gallery[row]))), default=0.0
+            (pair.support for pair in pair_minutiae(probe, cylinders(gallery[row]))), default=0.0
         )
         for row in list(gallery)[:60]
     }

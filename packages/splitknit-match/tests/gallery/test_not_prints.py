@@ -60,9 +60,9 @@ def labyrinth(x: Grid, y: Grid) -> Grid:
 def test_lines_that_are_no_ridges_are_not_acquired(
     wave: Callable[[Grid, Grid], Grid], words: str
 ) -> None:
-    found = print_template(picture(wave))
-    assert found.empty
-    assert words in found.lacks
+    template = print_template(picture(wave))
+    assert template.empty
+    assert words in template.lacks
 
 
 def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path: Path) -> None:
@@ -72,9 +72,9 @@ def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path: Path) -> None:
             tmp_path / "g.skg", stripes, "Ann", "right_index", resolution_ppi=500
         )
     assert not (tmp_path / "g.skg").exists()
-    found = splitknit_match.match(stripes, press(1), resolution_ppi=500)
-    assert found.answer == "not acquired"
-    assert found.findings[-1].code == "not-a-print"
+    match = splitknit_match.match(stripes, press(1), resolution_ppi=500)
+    assert match.answer == "not acquired"
+    assert match.findings[-1].code == "not-a-print"
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -120,18 +120,18 @@ def test_a_large_template_is_refused() -> None:
 
 @pytest.mark.slow
 def test_a_mirrored_print_is_named(tmp_path: Path) -> None:
-    one, other = press(1), press(1, 9, 12.0)
-    template = print_template(one)
+    upright, again = press(1), press(1, 9, 12.0)
+    template = print_template(upright)
     twice = mirrored(mirrored(template))
     assert np.array_equal(twice.level, template.level)
     assert twice.minutiae is not None and template.minutiae is not None
     assert np.array_equal(twice.minutiae.x_px, template.minutiae.x_px)
-    flipped = np.ascontiguousarray(other[:, ::-1])
-    found = splitknit_match.match(one, flipped, resolution_ppi=500)
-    assert found.answer == "undecided"
-    assert "mirrored" in str(found.undecided)
+    flipped = np.ascontiguousarray(again[:, ::-1])
+    match = splitknit_match.match(upright, flipped, resolution_ppi=500)
+    assert match.answer == "undecided"
+    assert "mirrored" in str(match.undecided)
     gallery = tmp_path / "g.skg"
-    splitknit_match.enroll(gallery, one, "Ann", "right_index", resolution_ppi=500)
+    splitknit_match.enroll(gallery, upright, "Ann", "right_index", resolution_ppi=500)
     done = splitknit_match.enroll(gallery, flipped, "Ann", "right_index", resolution_ppi=500)
     assert "only in a mirror" in str(done.findings[0])
 
@@ -143,10 +143,12 @@ def test_a_finger_named_wrong_gets_a_note(tmp_path: Path) -> None:
     same = splitknit_match.enroll(
         gallery, press(1), "Ann", "left_index", resolution_ppi=500, duplicates="refuse"
     )
-    assert [(one.person, one.finger) for one in same.alike] == [("Ann", "right_index")]
+    assert [(duplicate.person, duplicate.finger) for duplicate in same.alike] == [
+        ("Ann", "right_index")
+    ]
     again = splitknit_match.enroll(
         gallery, press(1, 9, 12.0), "Ann", "right_index", resolution_ppi=500
     )
     assert "unlike-earlier" not in [finding.code for finding in again.findings]
-    other = splitknit_match.enroll(gallery, press(2), "Ann", "right_index", resolution_ppi=500)
-    assert "unlike-earlier" in [finding.code for finding in other.findings]
+    enrolment = splitknit_match.enroll(gallery, press(2), "Ann", "right_index", resolution_ppi=500)
+    assert "unlike-earlier" in [finding.code for finding in enrolment.findings]

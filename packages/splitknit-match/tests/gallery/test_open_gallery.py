@@ -51,10 +51,10 @@ def test_arrays_are_matched_as_files_are(prints, tmp_path: Path) -> None:
     of_arrays = splitknit_match.match(prints["ann"], prints["ann again"], resolution_ppi=PPI)
     assert of_arrays.similarity == of_files.similarity
     assert of_arrays.decision is not None and of_arrays.decision.match
-    made = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI)
-    assert made.payload and made.template is None and made.a.acquired
+    template = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI)
+    assert template.payload and template.template is None and template.a.acquired
     assert (
-        splitknit_match.match(made.payload, prints["ann again"], resolution_ppi=PPI).similarity
+        splitknit_match.match(template.payload, prints["ann again"], resolution_ppi=PPI).similarity
         == of_files.similarity
     )
     splitknit_match.make_template(prints["ann"], tmp_path / "a.skt", resolution_ppi=PPI)
@@ -105,11 +105,11 @@ def test_a_gallery_stays_open(prints, tmp_path: Path, key: Key | None, monkeypat
         for name in ("ann", "bob"):
             done = gallery.enroll(prints[name], name, "right_index", resolution_ppi=PPI)
             assert done.alike == ()
-        found = gallery.identify(prints["ann again"], resolution_ppi=PPI)
-        assert found.candidates[0].person == "ann" and found.decision.match
+        identification = gallery.identify(prints["ann again"], resolution_ppi=PPI)
+        assert identification.candidates[0].person == "ann" and identification.decision.match
         fresh = splitknit_match.identify(file, prints["ann again"], key, resolution_ppi=PPI)
-        assert [one.similarity for one in fresh.candidates] == [
-            one.similarity for one in found.candidates
+        assert [candidate.similarity for candidate in fresh.candidates] == [
+            candidate.similarity for candidate in identification.candidates
         ]
         assert not gallery.identify(
             prints["ann again"], resolution_ppi=PPI, person="bob"
@@ -118,19 +118,20 @@ def test_a_gallery_stays_open(prints, tmp_path: Path, key: Key | None, monkeypat
         splitknit_match.enroll(file, press(3), "zoe", "left_thumb", key=key, resolution_ppi=PPI)
         assert len(gallery) == 3
         assert gallery.identify(press(3, 5), resolution_ppi=PPI).candidates[0].person == "zoe"
-        with splitknit_match.Gallery(file, key) as other:
-            other.remove("ann")
+        with splitknit_match.Gallery(file, key) as second_gallery:
+            second_gallery.remove("ann")
         assert "ann" not in [
-            one.person for one in gallery.identify(prints["ann"], resolution_ppi=PPI).candidates
+            candidate.person
+            for candidate in gallery.identify(prints["ann"], resolution_ppi=PPI).candidates
         ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["moved over it", "copied over it", "removed and written"])
 def test_another_file_of_the_name_is_searched_at_once(prints, tmp_path: Path, how: str) -> None:
-    file, other = tmp_path / "people.skg", tmp_path / "other.skg"
+    file, other_file = tmp_path / "people.skg", tmp_path / "other.skg"
     # as many changes, and of one size
-    for place, names in ((file, ("ann", "zoe")), (other, ("bob", "zoe"))):
+    for place, names in ((file, ("ann", "zoe")), (other_file, ("bob", "zoe"))):
         for name in names:
             finger = prints[name] if name != "zoe" else press(3)
             splitknit_match.enroll(
@@ -138,9 +139,9 @@ def test_another_file_of_the_name_is_searched_at_once(prints, tmp_path: Path, ho
             )
     with splitknit_match.Gallery(file) as gallery:
         assert gallery.identify(prints["ann again"], resolution_ppi=PPI).decision.match
-        content = other.read_bytes()
+        content = other_file.read_bytes()
         if how == "moved over it":
-            other.rename(file)
+            other_file.rename(file)
         else:
             if how.startswith("removed"):
                 file.unlink()
@@ -193,15 +194,16 @@ def test_one_finger_under_two_names_at_once(prints, tmp_path: Path, duplicates: 
                 threading.Thread(target=enrol, args=(gallery, name))
                 for name in ("eve", "ivy", "kim")
             ]
-            for one in threads:
-                one.start()
-            for one in threads:
-                one.join()
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
             if duplicates == "warn":
                 assert sorted(told, key=str) == [0, 1, 2], told
             else:
                 assert (
-                    told.count(0) == 1 and sum("of another person" in str(one) for one in told) == 2
+                    told.count(0) == 1
+                    and sum("of another person" in str(answer) for answer in told) == 2
                 ), told
                 assert len(gallery) == (1 if trial == 0 else 2)
 
@@ -233,30 +235,38 @@ def test_threads_and_forks_share_it(prints, tmp_path: Path) -> None:
         for name in ("ann", "bob"):
             gallery.enroll(prints[name], name, "right_index", resolution_ppi=PPI)
         probe = splitknit_match.make_template(prints["bob again"], resolution_ppi=PPI).payload
-        expected = [(one.person, one.similarity) for one in gallery.identify(probe).candidates]
-        found: list[object] = []
+        expected = [
+            (candidate.person, candidate.similarity)
+            for candidate in gallery.identify(probe).candidates
+        ]
+        answers: list[object] = []
 
         def ask() -> None:
-            found.append(
-                [(one.person, one.similarity) for one in gallery.identify(probe).candidates]
+            answers.append(
+                [
+                    (candidate.person, candidate.similarity)
+                    for candidate in gallery.identify(probe).candidates
+                ]
             )
 
         threads = [threading.Thread(target=ask) for _ in range(4)]
-        for one in threads:
-            one.start()
-        for one in threads:
-            one.join()
-        assert found == [expected] * 4
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert answers == [expected] * 4
         if hasattr(os, "fork"):
             child = os.fork()
             if child == 0:
                 same = [
-                    (one.person, one.similarity) for one in gallery.identify(probe).candidates
+                    (candidate.person, candidate.similarity)
+                    for candidate in gallery.identify(probe).candidates
                 ] == expected
                 os._exit(0 if same else 1)
             assert os.waitpid(child, 0)[1] == 0
         assert [
-            (one.person, one.similarity) for one in gallery.identify(probe).candidates
+            (candidate.person, candidate.similarity)
+            for candidate in gallery.identify(probe).candidates
         ] == expected
 
 
@@ -272,13 +282,13 @@ def test_one_finger_under_two_names(prints, tmp_path: Path) -> None:
     told = splitknit_match.enroll(
         file, prints["ann again"], "eve", "left_thumb", resolution_ppi=PPI
     )
-    assert [one.person for one in told.alike] == ["ann"]
+    assert [duplicate.person for duplicate in told.alike] == ["ann"]
     quiet = splitknit_match.enroll(
         file, press(1, 3), "ivy", "left_thumb", resolution_ppi=PPI, duplicates="allow"
     )
     assert quiet.alike == () and quiet.content.captures == 3
     same = splitknit_match.enroll(file, press(1, -3), "ivy", "left_thumb", resolution_ppi=PPI)
-    assert {one.person for one in same.alike} == {"ann", "eve"}
+    assert {duplicate.person for duplicate in same.alike} == {"ann", "eve"}
     with pytest.raises(BadInput, match="refuse, warn or allow"):
         splitknit_match.enroll(
             file, prints["ann"], "x", "left_thumb", resolution_ppi=PPI, duplicates="maybe"
@@ -291,14 +301,14 @@ def test_a_search_by_minutiae_says_what_it_left_out(prints, tmp_path: Path, monk
     for name in ("ann", "bob"):
         splitknit_match.enroll(file, prints[name], name, "right_index", resolution_ppi=PPI)
     probe = prints["bob again"]
-    found = splitknit_match.identify(file, probe, resolution_ppi=PPI, top=1)
-    assert (found.searched.captures, found.searched.compared) == (2, 1)
-    assert found.candidates[0].person == "bob"
-    assert "compared, those whose minutiae agree best" in str(found.findings[0])
+    identification = splitknit_match.identify(file, probe, resolution_ppi=PPI, top=1)
+    assert (identification.searched.captures, identification.searched.compared) == (2, 1)
+    assert identification.candidates[0].person == "bob"
+    assert "compared, those whose minutiae agree best" in str(identification.findings[0])
 
 
 def test_templates_of_arrays_are_those_of_files(prints) -> None:
     from splitknit_match.matching.template import pack
 
-    made = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI)
-    assert made.payload == pack(print_template(prints["ann"]))
+    template = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI)
+    assert template.payload == pack(print_template(prints["ann"]))

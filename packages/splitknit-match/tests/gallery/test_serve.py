@@ -83,15 +83,17 @@ def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path: 
         schema = operation["requestBody"]["content"]["application/json"]["schema"]
         setattr(Client, operation["operationId"], method(path, schema))
     for name, seed in (("ann", 1), ("bob", 2)):
-        made = Client.enroll(person=name, finger="right_index", print=sent(press(seed)))
-        assert made.status_code == 200, made.text
-        assert made.json()["enrolled"][0]["acquired"] and made.json()["alike"] == []
+        enrolment = Client.enroll(person=name, finger="right_index", print=sent(press(seed)))
+        assert enrolment.status_code == 200, enrolment.text
+        assert enrolment.json()["enrolled"][0]["acquired"] and enrolment.json()["alike"] == []
     again = Client.enroll(
         person="eve", finger="left_thumb", print=sent(press(1, 5, 9.0)), duplicates="refuse"
     )
     assert again.status_code == 400 and "another person, 'ann'" in again.json()["error"]
-    found = Client.identify(print=sent(press(1, 9, 12.0)), top=1).json()
-    assert found["candidates"][0]["person"] == "ann" and found["decision"]["match"]
+    identification = Client.identify(print=sent(press(1, 9, 12.0)), top=1).json()
+    assert (
+        identification["candidates"][0]["person"] == "ann" and identification["decision"]["match"]
+    )
     quality = Client.quality(print=sent(press(2, 4))).json()
     assert 0 < quality["quality"] <= 100 and quality["acquired"]
     assert Client.verify(person="bob", template=quality["template"]).json()["decision"]["match"]
@@ -177,8 +179,8 @@ def test_slow_clients_are_let_go_and_no_host_is_believed(service, monkeypatch) -
             slow.sendall(begin.encode())
             assert slow.recv(100)[:12] == answer
     assert service.post("/quality/").status_code == 404
-    said = service.post("/identify", content=b'{"fmr": %s, "print": ""}' % (b"9" * 400))
-    assert (said.status_code, said.json()) == (400, {"error": "'fmr' must be a number."})
+    answer = service.post("/identify", content=b'{"fmr": %s, "print": ""}' % (b"9" * 400))
+    assert (answer.status_code, answer.json()) == (400, {"error": "'fmr' must be a number."})
 
 
 @pytest.mark.slow
@@ -237,8 +239,8 @@ def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatc
             service.post("/enroll", json=good),
             service.post("/quality", json={"print": good["print"]}),
         ]
-    assert [one.status_code for one in answers] == [503, 503]
-    assert {one.json()["error"] for one in answers} == {
+    assert [answer.status_code for answer in answers] == [503, 503]
+    assert {answer.json()["error"] for answer in answers} == {
         "the audit file 'audit' cannot be written (No space left on device), and without it nothing"
         " is done."
     }
@@ -266,13 +268,13 @@ def test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder(
     assert not (tmp_path / "people.skg").exists()
     (tmp_path / "away").rename(tmp_path / "people.skg")
     answers += [service.post("/identify", json=probe)]
-    assert [one.status_code for one in answers] == [400, 200, 200, 400, 400, 503, 503, 200]
+    assert [answer.status_code for answer in answers] == [400, 200, 200, 400, 400, 503, 503, 200]
     assert answers[2].json()["gallery"] == "people.skg" and answers[-1].json()["decision"]["match"]
     assert "people.skg' is gone" in answers[5].json()["error"]
     assert not [
-        one.text
-        for one in answers
-        if str(tmp_path) in one.text or str(tmp_path.resolve()) in one.text
+        answer.text
+        for answer in answers
+        if str(tmp_path) in answer.text or str(tmp_path.resolve()) in answer.text
     ]
 
 
@@ -281,12 +283,12 @@ def test_lines_of_the_audit_file_are_short(service, tmp_path: Path) -> None:
     fields = {"finger": "right_index", "template": base64.b64encode(b"x").decode(), "person": name}
     answers = [service.post("/enroll", json=fields)]
     answers += [service.post("/verify", json={"person": name, "template": fields["template"]})]
-    assert [one.status_code for one in answers] == [400, 400]
+    assert [answer.status_code for answer in answers] == [400, 400]
     lines = (tmp_path / "audit").read_bytes().splitlines()
     assert (
         len(lines) == 3
         and max(map(len, lines)) < 1500
-        and max(len(one.content) for one in answers) < 500
+        and max(len(answer.content) for answer in answers) < 500
     )
 
 
@@ -308,8 +310,8 @@ def served(folder: Path, *words: str, tls: bool = True, before: tuple[str, ...] 
     command += ["--port", str(port), *words, *(certificate(folder) if tls else [])]
     environment = {**os.environ, "SPLITKNIT_SERVE_TOKEN": TOKEN}
     with (
-        (folder / "said").open("wb") as said,
-        subprocess.Popen(command, env=environment, stderr=said) as process,
+        (folder / "said").open("wb") as log,
+        subprocess.Popen(command, env=environment, stderr=log) as process,
     ):
         try:
             for _ in range(600):
@@ -370,8 +372,8 @@ def test_clients_that_are_silent_do_not_hold_the_end(tmp_path: Path, tls: bool) 
         time.sleep(0.3)
         process.terminate()
         assert process.wait(20) in (0, -15)
-    said = (tmp_path / "said").read_text()
-    assert len(said) < 1000 and "Traceback" not in said
+    log = (tmp_path / "said").read_text()
+    assert len(log) < 1000 and "Traceback" not in log
 
 
 @pytest.mark.slow
@@ -412,15 +414,15 @@ def test_what_it_cannot_serve_with_is_one_sentence(tmp_path: Path) -> None:
     ):
         with served(tmp_path, *words, tls=False) as (process, _):
             assert process.wait(20) == 2
-        said = (tmp_path / "said").read_text()
-        assert said.count("\n") == 1 and "name PEM files" in said, said
+        log = (tmp_path / "said").read_text()
+        assert log.count("\n") == 1 and "name PEM files" in log, log
     with served(tmp_path, "--token-file", str(token), tls=False) as (first, port):
         assert "note: the token" in (tmp_path / "said").read_text()
         (tmp_path / "second").mkdir()
         with served(tmp_path / "second", "--port", str(port), tls=False) as (second, _):
             assert second.wait(20) == 2
-        said = (tmp_path / "second" / "said").read_text()
-        assert said.count("\n") == 1 and "cannot listen at port" in said and "Serving" not in said
+        log = (tmp_path / "second" / "said").read_text()
+        assert log.count("\n") == 1 and "cannot listen at port" in log and "Serving" not in log
         first.terminate()
         assert first.wait(20) in (0, -15)
 
@@ -464,10 +466,15 @@ def test_a_full_disk_is_no_fault_of_the_client(tmp_path: Path) -> None:
             -1
         ].text
         assert str(tmp_path) not in answers[-1].text
-        found = client.post("/identify", json={"print": sent(press(1, 9, 12.0))}, timeout=60)
-        assert found.status_code == 200 and found.json()["searched"]["captures"] == len(answers) - 1
+        identification = client.post(
+            "/identify", json={"print": sent(press(1, 9, 12.0))}, timeout=60
+        )
+        assert (
+            identification.status_code == 200
+            and identification.json()["searched"]["captures"] == len(answers) - 1
+        )
     acts = [json.loads(line) for line in (tmp_path / "audit").read_text().splitlines()][1:-1]
-    assert [one["status"] for one in acts if one["person"] == str(len(answers))][-1] == 503
+    assert [act["status"] for act in acts if act["person"] == str(len(answers))][-1] == 503
 
 
 @pytest.mark.parametrize("reader", [False, True])

@@ -50,7 +50,7 @@ def test_images_come_back(compression: str) -> None:
 def test_the_layouts_of_others_are_read() -> None:
     """Two images of 2005; one of 2011 is refused."""
     two = TYPED[:8] + (len(TYPED) + 134).to_bytes(6, "big") + TYPED[14:] + TYPED[32:]
-    assert [one.finger for one in decode_finger_images(two)] == ["right_index"] * 2
+    assert [image.finger for image in decode_finger_images(two)] == ["right_index"] * 2
     with pytest.raises(BadInput, match="of 2005"):
         decode_finger_images(TYPED[:5] + b"2" + TYPED[6:])
 

@@ -63,12 +63,12 @@ def test_bytes_are_those_of_the_encoding_rules() -> None:
 
 @pytest.mark.parametrize("compression", ["none", "png", "jp2"])
 def test_images_come_back(compression: str) -> None:
-    given = [
+    images = [
         item(),
         item("left_thumb", "live_rolled", 1000.0),
         item("unknown", "contactless_moving"),
     ]
-    for a in (replace(one, image=np.tile(SMALL, (20, 20))) for one in given):
+    for a in (replace(image, image=np.tile(SMALL, (20, 20))) for image in images):
         (b,) = decode_finger_image_block(encode_finger_image_block(a, compression))
         np.testing.assert_array_equal(a.image, b.image)
         assert (a.finger, a.impression, a.resolution_ppi) == (
@@ -82,8 +82,8 @@ def test_what_others_may_add_is_passed_over() -> None:
     """A rotation, annotations, a later edition's field; an extension block with its fallback; an
     indefinite length."""
     more = tlv("89", b"\5"), tlv("ad", tlv("30", tlv("80", b"\1"))), tlv("9f1f", b"xyz")
-    (found,) = decode_finger_image_block(typed(*more))
-    assert (found.finger, found.resolution_ppi) == ("right_index", 500)
+    (image,) = decode_finger_image_block(typed(*more))
+    assert (image.finger, image.resolution_ppi) == ("right_index", 500)
     extended = typed().replace(
         tlv("a1", tlv("80", b"\x18")), tlv("a1", tlv("a1", tlv("80", b"\x18")))
     )
@@ -92,8 +92,8 @@ def test_what_others_may_add_is_passed_over() -> None:
     inner = bytearray(extended)
     inner[place + 2] += 2
     inner[place + 5] += 2
-    (found,) = decode_finger_image_block(bytes(inner))
-    assert found.impression == "contactless"
+    (image,) = decode_finger_image_block(bytes(inner))
+    assert image.impression == "contactless"
 
 
 def test_cuts_and_changes_are_refused_or_read() -> None:

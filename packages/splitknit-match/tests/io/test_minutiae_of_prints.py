@@ -15,14 +15,14 @@ from splitknit_match.records.minutiae_record import FingerView
 pytest.importorskip("nbis")
 
 
-def view_of(found: Minutiae) -> FingerView:
+def view_of(minutiae: Minutiae) -> FingerView:
     return FingerView(
-        found.x_px,
-        found.y_px,
-        found.direction_rad,
-        found.type,
-        found.quality,
-        found.size,
+        minutiae.x_px,
+        minutiae.y_px,
+        minutiae.direction_rad,
+        minutiae.type,
+        minutiae.quality,
+        minutiae.size,
         finger_quality=60,
     )
 
@@ -33,9 +33,9 @@ def test_an_ending_points_along_its_ridge() -> None:
     rows, columns = np.mgrid[:300, :280].astype(float)
     phase = 2 * np.pi * columns / 9 + np.arctan2(columns - 140, rows - 150)
     print_image = np.round(127 + 100 * np.cos(phase)).astype(np.uint8)
-    found = extract(print_image)
-    inner = (np.abs(found.x_px - 140) < 100) & (np.abs(found.y_px - 150) < 100)
-    view = view_of(found.taken(inner))
+    minutiae = extract(print_image)
+    inner = (np.abs(minutiae.x_px - 140) < 100) & (np.abs(minutiae.y_px - 150) < 100)
+    view = view_of(minutiae.taken(inner))
     data = encode_minutiae_record(view)
     assert data[27] == 1
     x, y = int.from_bytes(data[28:30], "big") & 0x3FFF, int.from_bytes(data[30:32], "big")
@@ -48,7 +48,7 @@ def test_an_ending_points_along_its_ridge() -> None:
 def test_minutiae_come_back_as_they_were() -> None:
     random = np.random.default_rng(1)
     count, steps = 60, 2 * np.pi / 32  # mindtct's directions
-    found = Minutiae(
+    minutiae = Minutiae(
         random.integers(0, 350, count).astype(np.int32),
         random.integers(0, 500, count).astype(np.int32),
         random.integers(0, 32, count) * steps,
@@ -56,9 +56,9 @@ def test_minutiae_come_back_as_they_were() -> None:
         random.integers(0, 101, count).astype(np.uint8),
         (500, 350),
     )
-    view = decode_minutiae_record(encode_minutiae_record(view_of(found)))[0]
+    view = decode_minutiae_record(encode_minutiae_record(view_of(minutiae)))[0]
     again = Minutiae(view.x_px, view.y_px, view.direction_rad, view.type, view.quality, view.size)
     for name in ("x_px", "y_px", "type", "quality"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
-    np.testing.assert_allclose(again.direction_rad, found.direction_rad, atol=1e-12)
-    assert again.size == found.size
+        np.testing.assert_array_equal(getattr(again, name), getattr(minutiae, name))
+    np.testing.assert_allclose(again.direction_rad, minutiae.direction_rad, atol=1e-12)
+    assert again.size == minutiae.size

@@ -18,9 +18,9 @@ IMAGE = np.random.default_rng(3).integers(0, 256, (31, 23)).astype(np.uint8)
 
 
 def read(path: Path) -> PrintFile:
-    (found,) = read_prints(path)
-    assert isinstance(found, PrintFile)
-    return found
+    (print_file,) = read_prints(path)
+    assert isinstance(print_file, PrintFile)
+    return print_file
 
 
 def write_tiff(path: Path, *print_and_facts) -> None:
@@ -30,18 +30,18 @@ def write_tiff(path: Path, *print_and_facts) -> None:
 @pytest.mark.parametrize("ppi", [500, 1000])
 def test_png_states_its_resolution(tmp_path: Path, ppi: int) -> None:
     write_print_png(tmp_path / "a.png", IMAGE, ppi)
-    for found in (read_print_png(tmp_path / "a.png"), read(tmp_path / "a.png")):
-        np.testing.assert_array_equal(found.image, IMAGE)
-        assert found.resolution_ppi == pytest.approx(ppi, abs=0.02)
+    for print_file in (read_print_png(tmp_path / "a.png"), read(tmp_path / "a.png")):
+        np.testing.assert_array_equal(print_file.image, IMAGE)
+        assert print_file.resolution_ppi == pytest.approx(ppi, abs=0.02)
 
 
 @pytest.mark.parametrize("ppi", [500, 1000, 787.4])
 def test_tiff_states_its_resolution(tmp_path: Path, ppi: float) -> None:
     write_tiff(tmp_path / "a.tiff", IMAGE, ppi, {"software": "splitknit", "note": "Größe"})
-    found = read(tmp_path / "a.tiff")
-    np.testing.assert_array_equal(found.image, IMAGE)
-    assert found.resolution_ppi == pytest.approx(ppi, rel=1e-6)
-    assert found.text == {"software": "splitknit", "note": "Größe"}
+    print_file = read(tmp_path / "a.tiff")
+    np.testing.assert_array_equal(print_file.image, IMAGE)
+    assert print_file.resolution_ppi == pytest.approx(ppi, rel=1e-6)
+    assert print_file.text == {"software": "splitknit", "note": "Größe"}
     write_tiff(tmp_path / "b.tiff", IMAGE, ppi, {"note": "Größe", "software": "splitknit"})
     assert (tmp_path / "b.tiff").read_bytes() == (tmp_path / "a.tiff").read_bytes()
 
@@ -113,11 +113,11 @@ def test_damaged_tiffs_are_refused_or_read(tmp_path: Path) -> None:
                 data[random.integers(0, 300)] ^= random.integers(1, 256)
         (tmp_path / "b.tiff").write_bytes(bytes(data))
         try:
-            found = read(tmp_path / "b.tiff")
+            print_file = read(tmp_path / "b.tiff")
         except BadInput as error:
             assert "\n" not in str(error)
         else:
-            assert found.image.dtype == np.uint8
+            assert print_file.image.dtype == np.uint8
 
 
 @pytest.mark.parametrize(
@@ -139,6 +139,6 @@ def test_odd_tags_of_a_print_are_no_crash(
         place = file.pages[0].tags[tag].offset
     data = path.read_bytes()
     path.write_bytes(data[: place + 2] + entry + data[place + 12 :])
-    found = read(path)
-    assert (found.resolution_ppi or 0) == pytest.approx(resolution)
-    np.testing.assert_array_equal(found.image, IMAGE)
+    print_file = read(path)
+    assert (print_file.resolution_ppi or 0) == pytest.approx(resolution)
+    np.testing.assert_array_equal(print_file.image, IMAGE)

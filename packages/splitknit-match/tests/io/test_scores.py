@@ -22,8 +22,8 @@ def write(folder: Path, text: str | bytes) -> Path:
 
 def test_label_and_score_are_enough(tmp_path: Path) -> None:
     path = write(tmp_path, "label,score\n1,0.5\n0,-1e-3\n1,\n0, 7 \n")
-    found = read_scores(path)
-    scores = found.scores
+    score_file = read_scores(path)
+    scores = score_file.scores
     assert scores.label.tolist() == [True, False, True, False]
     np.testing.assert_array_equal(scores.score, [0.5, -1e-3, np.nan, 7.0])
     np.testing.assert_array_equal(read_scores(path, dissimilarity=True).scores.score, -scores.score)
@@ -33,8 +33,8 @@ def test_label_and_score_are_enough(tmp_path: Path) -> None:
         None,
         "scores",
     )
-    assert found.ignored == []
-    assert found.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert score_file.ignored == []
+    assert score_file.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_names_that_were_written_as_texts_come_back(tmp_path: Path) -> None:
@@ -51,9 +51,9 @@ def test_everything_there_is(tmp_path: Path) -> None:
         ' ,label,finger_a,finger_b,subject_a,subject_b,session_a,session_b,time\r\n\r\n"here,'
         ' there","0.5",0,9,10,s,t,1,10,8\r\nhere,1.5,1.0,10,10,s,s,1,2,9\r\n',
     )
-    found = read_scores(path)
-    ours = found.scores
-    assert (ours.name, found.ignored) == ("scores", ["where", "time"])
+    score_file = read_scores(path)
+    ours = score_file.scores
+    assert (ours.name, score_file.ignored) == ("scores", ["where", "time"])
     assert ours.session is not None and ours.finger is not None
     assert ours.session.names == ("1", "2", "10")  # numbers in the order of numbers
     # within their subject
@@ -136,8 +136,8 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 def test_whatever_the_bytes(tmp_path: Path, data: bytes) -> None:
     for content in (data, b"label,score\n" + data):
         try:
-            found = read_scores(write(tmp_path, content))
+            score_file = read_scores(write(tmp_path, content))
         except BadInput as error:
             assert "\n" not in str(error)
         else:
-            assert found.scores.label.any() and not found.scores.label.all()
+            assert score_file.scores.label.any() and not score_file.scores.label.all()
