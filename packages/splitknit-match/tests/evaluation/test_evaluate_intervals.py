@@ -36,7 +36,7 @@ sides = st.tuples(scores_1d, scores_1d).filter(
 def figures(curve: Roc) -> list[float]:
     """Rates, failures counted and left out."""
     rates = [
-        (one.equal_error().value, *one.gars((0.5, 0.1, 0.01))) for one in (curve, curve.made())
+        (one.equal_error().value, *one.gars((0.5, 0.1, 0.01))) for one in (curve, curve.scored())
     ]
     return [*rates[0], *rates[1], curve.auc()]
 

@@ -113,15 +113,15 @@ def test_failures_are_rejections_or_left_out(sides: tuple[list[float], list[floa
     genuine, impostor = sides
     assert roc(genuine, impostor).equal_error().value == reference.equal_error(genuine, impostor)
     made = [[s for s in side if not np.isnan(s)] for side in sides]
-    left_out = roc(genuine, impostor).made().equal_error()
+    left_out = roc(genuine, impostor).scored().equal_error()
     assert left_out == roc(*made).equal_error()
     for target in (0.1, 0.3, 0.5):
         point = roc(genuine, impostor).at_far(target)
         assert (point.gar, point.far) == reference.gar_at_far(genuine, impostor, target)
-        assert roc(genuine, impostor).made().at_far(target) == roc(*made).at_far(target)
+        assert roc(genuine, impostor).scored().at_far(target) == roc(*made).at_far(target)
     assert roc(genuine, impostor).auc() == roc(*made).auc()
     # ISO/IEC 19795-1: FAR = FMR (1 - FTA), FRR = FTA + FNMR (1 - FTA)
-    every, some = roc(genuine, impostor), roc(genuine, impostor).made()
+    every, some = roc(genuine, impostor), roc(genuine, impostor).scored()
     fractions = [1 - len(few) / len(all_) for few, all_ in zip(made, sides, strict=True)]
     np.testing.assert_allclose(every.far, some.far * (1 - fractions[1]))
     np.testing.assert_allclose(
