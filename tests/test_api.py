@@ -109,9 +109,11 @@ def test_paths_and_objects_are_the_same(
     assert splitknit_match.match(capture, result, preset="ea").similarity == pytest.approx(
         1.0, abs=1e-3
     )
-    one = splitknit_match.make_print(result, "relief").image
-    np.testing.assert_array_equal(one, splitknit_match.make_print(tmp_path / "r", "relief").image)
-    assert splitknit_match.make_print(capture, "photo").image.shape == one.shape
+    printed = splitknit_match.make_print(result, "relief").image
+    np.testing.assert_array_equal(
+        printed, splitknit_match.make_print(tmp_path / "r", "relief").image
+    )
+    assert splitknit_match.make_print(capture, "photo").image.shape == printed.shape
 
 
 def test_a_folder_that_is_no_capture_is_refused(tmp_path: Path) -> None:
@@ -120,7 +122,7 @@ def test_a_folder_that_is_no_capture_is_refused(tmp_path: Path) -> None:
 
 
 def test_lights_from_the_drawing(tmp_path: Path) -> None:
-    found = splitknit_rig.calibrate_lights(
+    calibration = splitknit_rig.calibrate_lights(
         out=tmp_path / "rig.json",
         geometry=True,
         px_per_cm=378.5,
@@ -128,5 +130,5 @@ def test_lights_from_the_drawing(tmp_path: Path) -> None:
         led_height_cm=14.0,
         led_radius_cm=5.25,
     )
-    assert len(found.leds) == 14 and (tmp_path / "rig.json").is_file()
+    assert len(calibration.leds) == 14 and (tmp_path / "rig.json").is_file()
     assert len(splitknit.read_rig(tmp_path / "rig.json").leds) == 14

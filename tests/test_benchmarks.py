@@ -25,11 +25,13 @@ def test_the_page_shows_rows_of_the_stored_tables() -> None:
     )
     with scripts_of(BENCHMARKS) as script:
         run_all = script("run_all")
-        assert run_all.replaced(page, run_all.page_table()) == page, "run benchmarks/run_all.py --page"
+        assert run_all.replaced(page, run_all.page_table()) == page, (
+            "run benchmarks/run_all.py --page"
+        )
         for words, name, title, row, peer in run_all.SHOWN:
             tables = json.loads(run_all.stored(name).read_text(encoding="utf-8"))["tables"]
             assert "-" not in [
-                run_all.figure(tables, title, one, "wall") for one in (row, peer) if one
+                run_all.figure(tables, title, case, "wall") for case in (row, peer) if case
             ], words
         changed = run_all.replaced(page, "| a | b |")
         assert "<!-- run_all.py -->\n| a | b |\n<!-- /run_all.py -->" in changed
@@ -44,16 +46,16 @@ def test_what_a_script_prints_is_stored_as_tables() -> None:
     )
     with scripts_of(BENCHMARKS) as script:
         run_all = script("run_all")
-        found = run_all.parsed(printed)
-        assert found["notes"] == ["Cores: 2", "more"]
-        assert found["tables"][0] == {
+        results = run_all.parsed(printed)
+        assert results["notes"] == ["Cores: 2", "more"]
+        assert results["tables"][0] == {
             "title": "First",
             "columns": ["a", "b"],
             "rows": [["1", "2 / 3"]],
         }
-        assert [table["title"] for table in found["tables"]] == ["First", "First"]
-        assert json.loads(run_all.as_json(found)) == found
-        assert '["1", "2 / 3"]' in run_all.as_json(found)
+        assert [table["title"] for table in results["tables"]] == ["First", "First"]
+        assert json.loads(run_all.as_json(results)) == results
+        assert '["1", "2 / 3"]' in run_all.as_json(results)
         times = [
             {
                 "title": "T 7",
@@ -75,7 +77,7 @@ def test_a_ratio_is_taken_round_by_round() -> None:
         rows = timing.race({"nothing": lambda: None, "something": lambda: sum(range(20_000))}, 5)
         assert timing.ratio(rows[0], rows[0]) == 1.0
         assert timing.ratio(rows[1], rows[0]) > 5
-        first, other = (
+        faster, slower = (
             timing.Row("", None, (1.0,) * 3, cpu) for cpu in ((1.0, 2.0, 4.0), (3.0, 6.0, 4.0))
         )
-        assert timing.ratio(other, first) == 3.0
+        assert timing.ratio(slower, faster) == 3.0

@@ -60,7 +60,8 @@ def test_files_that_are_named_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     named = set(
         re.findall(
-            r"(?<![\w/-])(?:packages|examples|benchmarks|validation|tools|docs|tests)/[\w/-]+\.(?:py|md|json|png|jpg)",
+            r"(?<![\w/-])(?:packages|examples|benchmarks|validation|tools|docs|tests)"
+            r"/[\w/-]+\.(?:py|md|json|png|jpg)",
             text,
         )
     )
@@ -112,8 +113,8 @@ def commands_of(page: str) -> list[list[str]]:
     alternatives."""
     blocks = re.findall(r"```[a-z]*\n(.*?)```", page, flags=re.DOTALL)
     lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
-    found = [re.match(r"\s*(?:\$ )?(?:\.venv/bin/)?splitknit (.*)", line) for line in lines]
-    words = [shlex.split(line[1], comments=True) for line in found if line]
+    commands = [re.match(r"\s*(?:\$ )?(?:\.venv/bin/)?splitknit (.*)", line) for line in lines]
+    words = [shlex.split(line[1], comments=True) for line in commands if line]
     cut = [
         list(itertools.takewhile(lambda word: word not in {"|", ">", "&&", ";"}, line))
         for line in words
@@ -288,7 +289,9 @@ def faults_of_claim(row: dict[str, str], page: Path) -> list[str]:
     )
     faults += [] if targets else ["no page"]
     faults += [
-        f"not on the page: {one}" for one in stated if re.sub(r" \([^\d+-].*", "", one) not in texts
+        f"not on the page: {figure}"
+        for figure in stated
+        if re.sub(r" \([^\d+-].*", "", figure) not in texts
     ]
     scripts = re.findall(r"((?:validation|benchmarks)/[\w/]+\.py)(.*)", again)
     faults += [] if scripts or "](" in again else [f"no command: {again}"]
@@ -309,8 +312,8 @@ def test_the_claims_stand_on_their_pages_and_their_commands_exist() -> None:
     page, rows = script["PAGE"], script["read"]()
     numbers = [int(row["number"].rstrip("abcde")) for row in rows]
     assert list(dict.fromkeys(numbers)) == list(range(1, 47)) and numbers == sorted(numbers)
-    shown = re.findall(r"^[|-] (\d+[a-e]?) ", page.read_text(encoding="utf-8"), re.MULTILINE)
-    assert sorted(shown) == sorted(row["number"] for row in rows)
+    numbers = re.findall(r"^[|-] (\d+[a-e]?) ", page.read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(numbers) == sorted(row["number"] for row in rows)
     assert [fault for row in rows for fault in faults_of_claim(row, page)] == []
     row = {
         **rows[0],

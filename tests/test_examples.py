@@ -33,5 +33,7 @@ def test_example_runs(example: Path, tmp_path: Path) -> None:
 def test_the_page_shows_the_examples_as_they_are() -> None:
     """`make examples` was run after the last change of any of them."""
     page = (ROOT / "docs" / "guide" / "examples.md").read_text(encoding="utf-8")
-    shown = dict(re.findall(r"<!-- (plot_\w+\.py) ([0-9a-f]{64}) -->", page))
-    assert shown == {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in EXAMPLES}
+    digests = dict(re.findall(r"<!-- (plot_\w+\.py) ([0-9a-f]{64}) -->", page))
+    assert digests == {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in EXAMPLES
+    }

@@ -41,12 +41,14 @@ def test_a_small_house_is_measured(tmp_path: Path) -> None:
         text=True,
         check=True,
     )
-    found = json.loads(run.stdout)
-    assert found["python_files"] == 7 and found["lines"] == 25
+    measured = json.loads(run.stdout)
+    assert measured["python_files"] == 7 and measured["lines"] == 25
     assert (
-        found["settings_fields"] == 3 and found["names_of_modules"] == 6 and found["homonyms"] == 1
+        measured["settings_fields"] == 3
+        and measured["names_of_modules"] == 6
+        and measured["homonyms"] == 1
     )
-    assert found["members"][0] == {
+    assert measured["members"][0] == {
         "member": "splitknit",
         "files": 8,
         "lines": 26,
@@ -54,15 +56,17 @@ def test_a_small_house_is_measured(tmp_path: Path) -> None:
         "public_names": 1,
     }
     assert (
-        found["functions_with_whole_settings"]
-        == found["functions_with_many_parameters"]
-        == found["noqa"]
+        measured["functions_with_whole_settings"]
+        == measured["functions_with_many_parameters"]
+        == measured["noqa"]
         == 1
     )
-    assert found["words"]["index.md"] > 0 and found["words"]["all"] < sum(found["words"].values())
-    assert found["files_to_the_equations"] == 3 and found["files_to_the_ply"] == 0
-    assert found["import_circles"] == 1
-    assert found["one_importer_in_the_same_folder"] == 1  # steps.py, of pipeline.py alone
+    assert measured["words"]["index.md"] > 0 and measured["words"]["all"] < sum(
+        measured["words"].values()
+    )
+    assert measured["files_to_the_equations"] == 3 and measured["files_to_the_ply"] == 0
+    assert measured["import_circles"] == 1
+    assert measured["one_importer_in_the_same_folder"] == 1  # steps.py, of pipeline.py alone
 
 
 def test_numbers_outside_of_parameters_name_their_source(tmp_path: Path) -> None:

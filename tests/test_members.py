@@ -35,9 +35,9 @@ def private_imports(text: str, member: str) -> list[str]:
 @pytest.mark.parametrize("member", MEMBERS)
 def test_no_private_name_of_another_member_is_imported(member: str) -> None:
     files = sorted(source(member).rglob("*.py"))
-    found = {file.name: private_imports(file.read_text("utf-8"), member) for file in files}
+    private = {file.name: private_imports(file.read_text("utf-8"), member) for file in files}
     assert len(files) > 5
-    assert {name: names for name, names in found.items() if names} == {}
+    assert {name: names for name, names in private.items() if names} == {}
 
 
 def test_a_private_import_is_found() -> None:

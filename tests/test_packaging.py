@@ -21,10 +21,10 @@ PROJECTS = {
 PROJECT = PROJECTS["splitknit"]
 NEEDED = sorted(
     {
-        one
+        requirement
         for project in PROJECTS.values()
-        for one in project["dependencies"]
-        if not one.startswith("splitknit")
+        for requirement in project["dependencies"]
+        if not requirement.startswith("splitknit")
     }
 )
 """By any member, but for the members themselves."""
@@ -34,9 +34,11 @@ CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
 
 def of_conda(requirements: list[str]) -> set[str]:
     """`numpy>=2.0` as conda writes it."""
-    names = [re.fullmatch(r"([\w-]+)(>=[\d.,<]+)(; .*)?", one) for one in requirements]
+    names = [
+        re.fullmatch(r"([\w-]+)(>=[\d.,<]+)(; .*)?", requirement) for requirement in requirements
+    ]
     assert all(names), requirements
-    return {f"{CONDA.get(found[1], found[1])} {found[2]}" for found in names if found}
+    return {f"{CONDA.get(match[1], match[1])} {match[2]}" for match in names if match}
 
 
 @pytest.mark.parametrize("member", MEMBERS)
@@ -70,13 +72,17 @@ def test_the_wheel_holds_every_file_of_the_package(member: str) -> None:
 def test_members_have_one_version_and_need_each_other_in_it() -> None:
     assert {project["version"] for project in PROJECTS.values()} == {PROJECT["version"]}
     for name, project in PROJECTS.items():
-        others = {one for one in project["dependencies"] if one.startswith("splitknit")}
+        others = {
+            requirement
+            for requirement in project["dependencies"]
+            if requirement.startswith("splitknit")
+        }
         wanted = set() if name == "splitknit" else {"splitknit"}
-        assert others == {f"{one}=={PROJECT['version']}" for one in wanted}
+        assert others == {f"{requirement}=={PROJECT['version']}" for requirement in wanted}
 
 
 def test_the_core_needs_nine_packages_and_none_of_the_large_ones() -> None:
-    names = {re.match(r"[\w-]+", one)[0] for one in PROJECT["dependencies"]}  # type: ignore[index]
+    names = {re.match(r"[\w-]+", text)[0] for text in PROJECT["dependencies"]}  # type: ignore[index]
     assert len(names) <= 9 and not names & {"cryptography", "pyarrow", "torch", "matplotlib"}
 
 
@@ -99,8 +105,10 @@ def test_the_conda_recipe_needs_what_the_project_needs() -> None:
 def test_the_conda_environment_has_the_extra_plot() -> None:
     environment = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))
     needed = of_conda(NEEDED + PROJECTS["splitknit-match"]["optional-dependencies"]["plot"])
-    found = {one for one in environment["dependencies"] if isinstance(one, str)}
-    assert found - {"pip", "python >=3.11,<3.14"} == needed
+    conda = {
+        requirement for requirement in environment["dependencies"] if isinstance(requirement, str)
+    }
+    assert conda - {"pip", "python >=3.11,<3.14"} == needed
     assert environment["dependencies"][-1] == {"pip": [f"./packages/{name}" for name in MEMBERS]}
 
 
@@ -126,18 +134,19 @@ def test_everything_is_installed_as_the_constraints_say() -> None:
     alone."""
     for name in ("Makefile", "Dockerfile", ".github/workflows/ci.yml"):
         text = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", " ")
-        found = [
+        lines = [
             line for line in text.splitlines() if re.search(r"pip (install|wheel|sync) ", line)
         ]
         commands = [
-            one
-            for line in found
-            for one in line.split("&&")
-            if re.search(r"pip (install|wheel) ", one)
+            command
+            for line in lines
+            for command in line.split("&&")
+            if re.search(r"pip (install|wheel) ", command)
         ]
         assert len(commands) >= 3, name
         assert all(
-            "--require-hashes" in one or "--no-deps" in one or "`" in one for one in commands
+            "--require-hashes" in command or "--no-deps" in command or "`" in command
+            for command in commands
         ), name
         assert "PIP_BUILD_CONSTRAINT" in text, name
     assert "pip uninstall --quiet --quiet --yes setuptools" in (ROOT / "Makefile").read_text(
@@ -153,8 +162,10 @@ def test_the_workflow_runs_what_is_there_on_versions_that_are_declared() -> None
     assert any(step.get("run") == ".ci/run" for step in jobs["linux"]["steps"])
     tested = {case["python"] for case in jobs["unit"]["strategy"]["matrix"]["include"]} | {"3.11"}
     declared = {
-        one.rpartition(" ")[2] for one in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", one)
+        classifier.rpartition(" ")[2]
+        for classifier in PROJECT["classifiers"]
+        if re.search(r":: 3\.\d+$", classifier)
     }
     assert tested == declared
     pinned = [step["uses"] for job in jobs.values() for step in job["steps"] if "uses" in step]
-    assert all(re.fullmatch(r"actions/[\w-]+@[0-9a-f]{40}", one) for one in pinned)
+    assert all(re.fullmatch(r"actions/[\w-]+@[0-9a-f]{40}", action) for action in pinned)

@@ -74,8 +74,10 @@ def test_the_site_shows_every_public_name_and_verb(
     with caplog.at_level(logging.WARNING):
         page = hooks.public_names()
     assert caplog.records == []
-    shown = {line.strip(":#` ") for line in page.splitlines() if line.startswith((":::", "### "))}
-    assert shown >= set(PUBLIC) and "splitknit.Capture" in shown
+    documented = {
+        line.strip(":#` ") for line in page.splitlines() if line.startswith((":::", "### "))
+    }
+    assert documented >= set(PUBLIC) and "splitknit.Capture" in documented
     assert "### `splitknit gallery import`" in hooks.help_of_every_verb()
 
 
@@ -94,8 +96,8 @@ def test_links_out_of_the_pages_become_paths(
     text = "[README](../README.md), [code](../packages/splitknit/src/splitknit/model.py#a), "
     text += "[page](guide/install.md), [gone](../gone.py)"
     with caplog.at_level(logging.WARNING):
-        found = hooks.inside(text, hooks.DOCS, lambda picture: picture.name)
-    assert found.startswith(
+        linked = hooks.inside(text, hooks.DOCS, lambda picture: picture.name)
+    assert linked.startswith(
         "README (`README.md`), code (`packages/splitknit/src/splitknit/model.py`),"
         " [page](guide/install.md)"
     )

@@ -9,108 +9,114 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+CORE, RIG, MATCH = (
+    f"packages/{member}/tests" for member in ("splitknit", "splitknit-rig", "splitknit-match")
+)
 CLAIMS: dict[str, tuple[str, ...]] = {
     "nothing is sent and no name is looked up": ("tests/test_no_network.py",),
     "files are made 0600, folders 0700": (
-        "packages/splitknit/tests/io/test_io_atomic.py::test_what_is_written_is_private",
+        f"{CORE}/io/test_io_atomic.py::test_what_is_written_is_private",
         "tests/cli/test_private_files.py",
     ),
     "an existing gallery keeps its mode, and a note says so": (
-        "packages/splitknit-match/tests/cli/test_enroll.py::test_a_gallery_that_others_can_read_gets_a_note",
+        f"{MATCH}/cli/test_enroll.py::test_a_gallery_that_others_can_read_gets_a_note",
     ),
     "loopback unless a TLS certificate is given": (
-        "packages/splitknit-match/tests/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
+        f"{MATCH}/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
     ),
     "an audit line for each act, of an enrolment before it is final, without biometric data": (
-        "packages/splitknit-match/tests/gallery/test_serve.py::test_a_client_made_of_the_document_enrols_and_identifies",
+        f"{MATCH}/gallery/test_serve.py::test_a_client_made_of_the_document_enrols_and_identifies",
     ),
     "what is printed, and what a report shows, holds no control character": (
         "tests/cli/test_cli.py::test_a_success_moves_no_cursor_whatever_its_files_are_called",
-        "packages/splitknit/tests/report/test_report.py::test_the_page_escapes_control_and_bidi_characters",
+        f"{CORE}/report/test_report.py::test_the_page_escapes_control_and_bidi_characters",
     ),
     "a text that would run as a formula begins with an apostrophe": (
-        "packages/splitknit/tests/io/test_csv_table.py",
+        f"{CORE}/io/test_csv_table.py",
     ),
     "plain `tcp://` to another computer is refused": (
-        "packages/splitknit-match/tests/batch/test_batch_workers.py::test_code_goes_to_other_computers_only_encrypted",
+        f"{MATCH}/batch/test_batch_workers.py::test_code_goes_to_other_computers_only_encrypted",
     ),
     "the WSQ decoder does not inherit variables": (
-        "packages/splitknit-match/tests/io/test_wsq.py::test_the_child_inherits_no_key",
+        f"{MATCH}/io/test_wsq.py::test_the_child_inherits_no_key",
     ),
     "WSQ, whose decoder is third-party code, is decoded in a process of its own": (
-        "packages/splitknit-match/tests/io/test_wsq.py::test_a_child_that_ends_hangs_or_talks_is_refused",
+        f"{MATCH}/io/test_wsq.py::test_a_child_that_ends_hangs_or_talks_is_refused",
     ),
     "splitknit sets `ORT_DISABLE_TELEMETRY=1` before importing it": (
-        "packages/splitknit/tests/networks/test_unet.py::test_onnxruntime_is_imported_without_telemetry",
+        f"{CORE}/networks/test_unet.py::test_onnxruntime_is_imported_without_telemetry",
     ),
     "is refused where it may refer to data outside the file": (
-        "packages/splitknit/tests/networks/test_weights.py::test_data_outside_the_file_are_refused",
+        f"{CORE}/networks/test_weights.py::test_data_outside_the_file_are_refused",
     ),
     "sizes are checked before memory is taken": (
-        "packages/splitknit/tests/io/test_npz.py::test_a_bomb_is_refused_before_memory_is_taken",
+        f"{CORE}/io/test_npz.py::test_a_bomb_is_refused_before_memory_is_taken",
     ),
     "whatever cannot be read is refused in one sentence": (
-        "packages/splitknit-rig/tests/cli/test_bad_input.py::test_bad_captures_are_refused_in_one_sentence",
+        f"{RIG}/cli/test_bad_input.py::test_bad_captures_are_refused_in_one_sentence",
         "tests/cli/test_cli.py::test_a_closed_pipe_is_no_error_and_a_full_disk_is_one_sentence",
         "tests/fuzz/run.py",
     ),
     "a folder or file that splitknit did not write is never replaced or deleted": (
-        "packages/splitknit/tests/io/test_io_atomic.py::test_files_of_others_are_never_deleted",
-        "packages/splitknit/tests/io/test_io_atomic.py::test_a_list_of_files_counts_only_as_a_file_of_its_own",
+        f"{CORE}/io/test_io_atomic.py::test_files_of_others_are_never_deleted",
+        f"{CORE}/io/test_io_atomic.py::test_a_list_of_files_counts_only_as_a_file_of_its_own",
     ),
     "reads and writes through no symbolic link inside a folder that it is given": (
-        "packages/splitknit/tests/io/test_io_atomic.py::test_nothing_is_written_through_a_link_inside_a_given_folder",
+        f"{CORE}/io/test_io_atomic.py::"
+        "test_nothing_is_written_through_a_link_inside_a_given_folder",
     ),
     "After Ctrl-C and SIGTERM nothing stays": (
-        "packages/splitknit/tests/io/test_io_atomic.py::test_an_interrupt_while_tidying_waits_until_that_is_done",
+        f"{CORE}/io/test_io_atomic.py::test_an_interrupt_while_tidying_waits_until_that_is_done",
         "tests/fuzz/kills.py",
     ),
     "the next command that writes into the same folder, or opens the gallery, removes it": (
-        "packages/splitknit/tests/io/test_io_atomic.py::test_the_next_program_removes_what_a_killed_one_left",
+        f"{CORE}/io/test_io_atomic.py::test_the_next_program_removes_what_a_killed_one_left",
         "tests/fuzz/kills.py",
     ),
     "shows most vulnerabilities as well": ("tests/fuzz/run.py",),
     "every page is encrypted with AES-256 and authenticated": (
-        "packages/splitknit-match/tests/gallery/test_gallery.py::test_all_sides_of_a_key",
-        "packages/splitknit-match/tests/gallery/test_gallery.py::test_what_an_encrypted_file_reveals_is_no_name_and_any_changed_byte_is_noticed",
+        f"{MATCH}/gallery/test_gallery.py::test_all_sides_of_a_key",
+        f"{MATCH}/gallery/test_gallery.py::"
+        "test_what_an_encrypted_file_reveals_is_no_name_and_any_changed_byte_is_noticed",
     ),
     "the key is 256 random bits, or stretched from a passphrase": (
-        "packages/splitknit-match/tests/gallery/test_gallery_key.py::test_kinds_of_keys",
-        "packages/splitknit-match/tests/gallery/test_gallery.py::test_all_sides_of_a_key",
+        f"{MATCH}/gallery/test_gallery_key.py::test_kinds_of_keys",
+        f"{MATCH}/gallery/test_gallery.py::test_all_sides_of_a_key",
     ),
     "its rows are zeroed, and the file is written anew": (
-        "packages/splitknit-match/tests/gallery/test_gallery.py::test_nothing_remains_of_a_removed_finger",
-        "packages/splitknit-match/tests/gallery/test_gallery.py::test_second_copies_in_a_page_go_with_a_removal",
+        f"{MATCH}/gallery/test_gallery.py::test_nothing_remains_of_a_removed_finger",
+        f"{MATCH}/gallery/test_gallery.py::test_second_copies_in_a_page_go_with_a_removal",
     ),
     "The SHA-256 of its templates detects damage": (
-        "packages/splitknit-match/tests/gallery/test_gallery.py::test_damage_is_refused",
+        f"{MATCH}/gallery/test_gallery.py::test_damage_is_refused",
     ),
     "loads nothing from elsewhere": (
-        "packages/splitknit/tests/report/test_report.py::test_page_is_self_contained",
-        "packages/splitknit/tests/report/test_page_browser.py",
+        f"{CORE}/report/test_report.py::test_page_is_self_contained",
+        f"{CORE}/report/test_page_browser.py",
     ),
     "lets your group read them": (
         "tests/cli/test_private_files.py::test_verbs_write_private_files",
     ),
     "After `kill -9` a folder": ("tests/fuzz/kills.py",),
     "gone when the program ends, however it ends": (
-        "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_processed_in_strips_from_disk",
+        f"{CORE}/io/test_io_plain.py::test_large_stacks_are_processed_in_strips_from_disk",
     ),
     "Whoever holds a key signed by the cluster's CA": (
-        "packages/splitknit-match/tests/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
+        f"{MATCH}/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
     ),
     "Another user of the machine can occupy": (
-        "packages/splitknit-match/tests/gallery/test_serve.py::test_slow_clients_are_let_go_and_no_host_is_believed",
+        f"{MATCH}/gallery/test_serve.py::test_slow_clients_are_let_go_and_no_host_is_believed",
     ),
     "answers name no folder": (
-        "packages/splitknit-match/tests/gallery/test_serve.py::test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder",
+        f"{MATCH}/gallery/test_serve.py::"
+        "test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder",
     ),
     "bounded bodies, comparisons, connections (64) and waiting (20 to 40 s)": (
-        "packages/splitknit-match/tests/gallery/test_serve.py::test_what_is_wrong_is_one_sentence",
-        "packages/splitknit-match/tests/gallery/test_serve.py::test_slow_clients_are_let_go_and_no_host_is_believed",
+        f"{MATCH}/gallery/test_serve.py::test_what_is_wrong_is_one_sentence",
+        f"{MATCH}/gallery/test_serve.py::test_slow_clients_are_let_go_and_no_host_is_believed",
     ),
     "TLS with certificates on both sides": (
-        "packages/splitknit-match/tests/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
+        f"{MATCH}/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
     ),
     "fuzzers for every reader": (
         "tests/fuzz/test_fuzz.py",
@@ -129,20 +135,21 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "tests/test_no_network.py::test_nothing_leaves_the_machine",
     ),
     "lie in a file without a name while they are worked on": (
-        "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_processed_in_strips_from_disk",
+        f"{CORE}/io/test_io_plain.py::test_large_stacks_are_processed_in_strips_from_disk",
     ),
     "`--scheduler` connects to the scheduler that you name": (
-        "packages/splitknit-match/tests/batch/test_batch_workers.py::test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing",
+        f"{MATCH}/batch/test_batch_workers.py::"
+        "test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing",
     ),
     "`serve` listens on loopback": (
-        "packages/splitknit-match/tests/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
+        f"{MATCH}/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
     ),
     "must set the variable itself, otherwise networks are refused": (
-        "packages/splitknit/tests/networks/test_unet.py::test_onnxruntime_imported_with_telemetry_is_refused",
+        f"{CORE}/networks/test_unet.py::test_onnxruntime_imported_with_telemetry_is_refused",
     ),
     "The test runs under strace": ("tests/test_no_network.py::test_what_leaves_is_seen",),
     "it is checked by the SHA-256 of its card": (
-        "packages/splitknit/tests/networks/test_weights.py::test_weights_with_a_changed_byte_are_refused",
+        f"{CORE}/networks/test_weights.py::test_weights_with_a_changed_byte_are_refused",
     ),
 }
 UNTESTED = {

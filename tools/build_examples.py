@@ -30,8 +30,10 @@ ORDER = ("twin", "reconstruct", "prints", "match", "evaluate")
 WIDEST_PX, MAX_BYTES = 1200, 200_000
 HEAD = """# Examples, executed
 
-Every section was made by running the file it names (`make examples` runs all of them again and rewrites this page):
-what it is about, what it printed, and the pictures it drew. Each runs without arguments; `--help` lists what can be
+Every section was made by running the file it names (`make examples` runs all of them again and \
+rewrites this page):
+what it is about, what it printed, and the pictures it drew. Each runs without arguments; \
+`--help` lists what can be
 changed.
 """
 
@@ -96,19 +98,19 @@ def keep(picture: Path, name: str) -> str:
     return Path(os.path.relpath(target, PAGE.parent)).as_posix()
 
 
-def section(one: Done) -> str:
+def section(example: Done) -> str:
     """One example, as Markdown."""
-    short = one.name.removeprefix("plot_").replace("_", "-")
-    shown = "\n\n".join(
-        f"![{path.stem.replace('-', ' ')}]({keep(path, short)})" for path in one.pictures
+    short = example.name.removeprefix("plot_").replace("_", "-")
+    pictures = "\n\n".join(
+        f"![{path.stem.replace('-', ' ')}]({keep(path, short)})" for path in example.pictures
     )
     parts = [
-        f"## {one.title.rstrip('.')}",
-        f"<!-- {one.name}.py {one.sha256} -->",
-        one.words,
-        f"[examples/{one.name}.py](../../examples/{one.name}.py) prints:",
-        f"```\n{one.output}\n```",
-        shown,
+        f"## {example.title.rstrip('.')}",
+        f"<!-- {example.name}.py {example.sha256} -->",
+        example.words,
+        f"[examples/{example.name}.py](../../examples/{example.name}.py) prints:",
+        f"```\n{example.output}\n```",
+        pictures,
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -136,7 +138,7 @@ def main() -> None:
             done.append(run(example, folder))
         shutil.rmtree(PICTURES, ignore_errors=True)
         PICTURES.mkdir(parents=True)
-        page = "\n".join([HEAD, *(section(one) for one in done)])
+        page = "\n".join([HEAD, *(section(example) for example in done)])
     PAGE.write_text(page, encoding="utf-8")
 
 

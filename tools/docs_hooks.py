@@ -132,8 +132,8 @@ def executed(notebook: Path, files_folder: str) -> tuple[str, dict[str, bytes]]:
     with tempfile.TemporaryDirectory() as folder:
         # an error ends the build
         ExecutePreprocessor(timeout=300).preprocess(run, {"metadata": {"path": folder}})
-    text, found = MarkdownExporter().from_notebook_node(run, {"output_files_dir": files_folder})
-    return text, found["outputs"]
+    text, resources = MarkdownExporter().from_notebook_node(run, {"output_files_dir": files_folder})
+    return text, resources["outputs"]
 
 
 def on_files(files: Any, config: Any) -> None:
@@ -195,8 +195,8 @@ def on_post_build(config: Any, **_: Any) -> None:
             encoding="utf-8",
         )
     for page in site.rglob("*.html"):
-        for found in re.findall(
+        for url in re.findall(
             r"<(?:script|img|iframe|link)\b[^>]*(?:src|href)=\"?(https?://[^\">]+)",
             page.read_text("utf-8"),
         ):
-            LOG.warning("%s fetches %s", page.relative_to(site), found)
+            LOG.warning("%s fetches %s", page.relative_to(site), url)

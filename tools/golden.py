@@ -46,14 +46,14 @@ METHODS = ("ridge", "thesis", "minutiae")
 def run(*words: object) -> str:
     """Run a verb in this process; return what it printed."""
     (script,) = metadata.entry_points(group="console_scripts", name="splitknit")
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
         code = script.load()([str(word) for word in words])
     if code != 0:
         raise RuntimeError(
-            f"splitknit {' '.join(map(str, words))}: exit code {code}: {said.getvalue()}"
+            f"splitknit {' '.join(map(str, words))}: exit code {code}: {printed.getvalue()}"
         )
-    return said.getvalue()
+    return printed.getvalue()
 
 
 def entry(array: Any) -> Entry:
@@ -74,15 +74,15 @@ def entry(array: Any) -> Entry:
 def result_of(folder: Path) -> dict[str, Entry]:
     """Arrays of ``height.npz``, and the print's pixels where there is one."""
     with np.load(folder / "height.npz") as arrays:
-        found = {
+        entries = {
             name: entry(arrays[name])
             for name in sorted(arrays.files)
             if arrays[name].dtype.kind != "U"
         }
     return (
-        {**found, "print": entry(pixels(folder / "print.png"))}
+        {**entries, "print": entry(pixels(folder / "print.png"))}
         if (folder / "print.png").is_file()
-        else found
+        else entries
     )
 
 
@@ -123,23 +123,23 @@ def with_lens(document: dict[str, Any]) -> None:
 
 def measure(folder: Path) -> dict[str, dict[str, Entry]]:
     """Everything, by name."""
-    found: dict[str, dict[str, Entry]] = {}
+    cases: dict[str, dict[str, Entry]] = {}
 
     def reconstructed(name: str, capture: Path, *options: str) -> Path:
         out = folder / f"result_{name}"
         run("reconstruct", capture, "--out", out, *options)
-        found[name] = result_of(out)
+        cases[name] = result_of(out)
         return out
 
     capture, again = folder / "capture", folder / "again"
     run("simulate", "--seed", 3, "--scale", 0.15, "--out", capture)
     run("simulate", "--seed", 3, "--scale", 0.15, "--impression", 1, "--out", again)
-    found["simulated"] = {file.stem: entry(pixels(file)) for file in sorted(capture.glob("*.png"))}
+    cases["simulated"] = {file.stem: entry(pixels(file)) for file in sorted(capture.glob("*.png"))}
     for preset in PRESETS:
         reconstructed(preset, capture, "--preset", preset)
     reconstructed(
         "opaque",
-        edited(capture, folder / "opaque", lambda one: one.update(material="opaque")),
+        edited(capture, folder / "opaque", lambda document: document.update(material="opaque")),
         *QUICK,
     )
     reconstructed(
@@ -171,9 +171,9 @@ def measure(folder: Path) -> dict[str, dict[str, Entry]]:
     reconstructed("mirror", mirrors, "--shape", "mirror", *QUICK)
     for method in METHODS:
         facts = json.loads(run("match", capture, again, "--method", method, "--json"))
-        found[f"match {method}"] = {"similarity": entry(np.float64(facts["similarity"]))}
+        cases[f"match {method}"] = {"similarity": entry(np.float64(facts["similarity"]))}
     run("match", folder / "result_metric", "--template", folder / "a.skt")
-    found["template"] = {"bytes": entry(np.frombuffer((folder / "a.skt").read_bytes(), np.uint8))}
+    cases["template"] = {"bytes": entry(np.frombuffer((folder / "a.skt").read_bytes(), np.uint8))}
     for method in ("unroll", "relief", "curvature"):
         run(
             "print",
@@ -183,17 +183,17 @@ def measure(folder: Path) -> dict[str, dict[str, Entry]]:
             "--out",
             folder / f"print_{method}",
         )
-        found[f"print {method}"] = prints_of(folder / f"print_{method}")
+        cases[f"print {method}"] = prints_of(folder / f"print_{method}")
     run("print", mirrors, "--method", "rolled", "--out", folder / "rolled")
-    found["print rolled"] = prints_of(folder / "rolled")
+    cases["print rolled"] = prints_of(folder / "rolled")
     run("simulate", "--bench", "--scale", 0.1, "--seed", 2, "--out", folder / "bench")
     run("calibrate", "camera", folder / "bench" / "board", "--out", folder / "rig.json")
     camera = json.loads((folder / "rig.json").read_text())["camera"]
     numbers = {key: value for key, value in camera.items() if isinstance(value, (int, float, list))}
-    found["calibrated camera"] = {
+    cases["calibrated camera"] = {
         key: entry(np.asarray(numbers[key], dtype=float)) for key in sorted(numbers)
     }
-    return found
+    return cases
 
 
 def prints_of(folder: Path) -> dict[str, Entry]:
@@ -205,37 +205,38 @@ def machine() -> dict[str, str]:
     """What the last bits depend on."""
     keys = ("flags", "Features", "vendor_id", "cpu family", "model", "stepping", "cache size")
     lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
-    found = [line for line in lines if line.startswith(keys)]
+    features = "".join(line for line in lines if line.startswith(keys))
     names = ("numpy", "scipy", "opencv-python-headless", "onnxruntime")
     return {
-        "processor": platform.machine() + hashlib.sha256("".join(found).encode()).hexdigest()[:12],
+        "processor": platform.machine() + hashlib.sha256(features.encode()).hexdigest()[:12],
         **{name: metadata.version(name) for name in names},
     }
 
 
-def differences(wanted: dict[str, Any], found: dict[str, Any]) -> list[str]:
+def differences(wanted: dict[str, Any], measured: dict[str, Any]) -> list[str]:
     """What is not as it was, a line each."""
-    exact = wanted["machine"] == found["machine"]
+    exact = wanted["machine"] == measured["machine"]
     lines = [
-        f"{name} is new or gone" for name in sorted(wanted["cases"].keys() ^ found["cases"].keys())
+        f"{name} is new or gone"
+        for name in sorted(wanted["cases"].keys() ^ measured["cases"].keys())
     ]
-    for case in sorted(wanted["cases"].keys() & found["cases"].keys()):
-        before, now = wanted["cases"][case], found["cases"][case]
+    for case in sorted(wanted["cases"].keys() & measured["cases"].keys()):
+        before, now = wanted["cases"][case], measured["cases"][case]
         lines += [f"{case}, {name}: new or gone" for name in sorted(before.keys() ^ now.keys())]
         for name in sorted(before.keys() & now.keys()):
-            one, other = before[name], now[name]
+            stored, new = before[name], now[name]
             part = SAME if exact else WIDER if case.startswith(SENSITIVE) else TOLERANCE
-            slack = part * max(one["spread"], abs(one["mean"]), 1e-9)
-            same = one["sha256"] == other["sha256"] or all(
-                abs(one[key] - other[key]) <= slack for key in ("mean", "spread")
+            slack = part * max(stored["spread"], abs(stored["mean"]), 1e-9)
+            same = stored["sha256"] == new["sha256"] or all(
+                abs(stored[key] - new[key]) <= slack for key in ("mean", "spread")
             )
             sizes = exact or not case.startswith(SENSITIVE)
             if (
                 not same
-                or one["type"] != other["type"]
-                or (sizes and one["shape"] != other["shape"])
+                or stored["type"] != new["type"]
+                or (sizes and stored["shape"] != new["shape"])
             ):
-                lines.append(f"{case}, {name}: mean {one['mean']:.9g} -> {other['mean']:.9g}")
+                lines.append(f"{case}, {name}: mean {stored['mean']:.9g} -> {new['mean']:.9g}")
     return lines
 
 
@@ -247,21 +248,21 @@ def main() -> int:
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = {"machine": machine(), "cases": measure(Path(folder))}
+        measured = {"machine": machine(), "cases": measure(Path(folder))}
     if options.write:
-        GOLDEN.write_text(json.dumps(found, indent=1) + "\n", encoding="ascii")
+        GOLDEN.write_text(json.dumps(measured, indent=1) + "\n", encoding="ascii")
         return 0
     wanted = json.loads(GOLDEN.read_text(encoding="ascii"))
-    lines = differences(wanted, found)
+    lines = differences(wanted, measured)
     others = [
         f"{name} {wanted['machine'].get(name)} -> {now}"
-        for name, now in found["machine"].items()
+        for name, now in measured["machine"].items()
         if wanted["machine"].get(name) != now
     ]
     same = [
-        one["sha256"] == now.get(name, {}).get("sha256")
-        for case, now in found["cases"].items()
-        for name, one in wanted["cases"].get(case, {}).items()
+        stored["sha256"] == now.get(name, {}).get("sha256")
+        for case, now in measured["cases"].items()
+        for name, stored in wanted["cases"].get(case, {}).items()
     ]
     where = (
         f"not the machine of golden.json ({', '.join(others)}): tolerance {TOLERANCE:g}; "
@@ -270,7 +271,7 @@ def main() -> int:
     )
     sys.stdout.write(f"{where}{sum(same)} of {len(same)} arrays have the same bytes\n")
     sys.stdout.write(
-        "\n".join([*lines, f"{len(found['cases'])} cases, {len(lines)} differences"]) + "\n"
+        "\n".join([*lines, f"{len(measured['cases'])} cases, {len(lines)} differences"]) + "\n"
     )
     return 1 if lines else 0
 

@@ -78,7 +78,9 @@ def read() -> list[dict[str, str]]:
 
 def summary(rows: Sequence[Mapping[str, str]]) -> str:
     """How many criteria have each verdict."""
-    counts = ", ".join(f"{sum(row['verdict'] == one for row in rows)} {one}" for one in VERDICTS)
+    counts = ", ".join(
+        f"{sum(row['verdict'] == verdict for row in rows)} {verdict}" for verdict in VERDICTS
+    )
     return f"Of {len(rows)} criteria: {counts}."
 
 
@@ -107,8 +109,8 @@ def undecided(rows: Sequence[Mapping[str, str]]) -> str:
 def joined(measured: str) -> str:
     """Intervals drawn by finger and by subject, ``[1, 3] (2, 4)``, as one that holds both."""
 
-    def both(found: re.Match[str]) -> str:
-        ends = found.groups()
+    def both(intervals: re.Match[str]) -> str:
+        ends = intervals.groups()
         return f"[{min(ends[::2], key=float)}, {max(ends[1::2], key=float)}]"
 
     return re.sub(
@@ -122,17 +124,17 @@ def page() -> str:
     """The page with its table and summary written anew."""
     rows, text = read(), PAGE.read_text(encoding="utf-8")
     parts = {"summary": summary(rows), "claims": table(rows), "undecided": undecided(rows)}
-    for name, made in parts.items():
+    for name, content in parts.items():
         first, last = f"<!-- begin {name} -->\n\n", f"\n\n<!-- end {name} -->"
         before, rest = text.split(first)
-        text = f"{before}{first}{made}{last}{rest.split(last)[1]}"
+        text = f"{before}{first}{content}{last}{rest.split(last)[1]}"
     return text
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("--check", action="store_true")
-    made = page()
+    text = page()
     if parser.parse_args().check:
-        sys.exit(made != PAGE.read_text(encoding="utf-8"))
-    PAGE.write_text(made, encoding="utf-8")
+        sys.exit(text != PAGE.read_text(encoding="utf-8"))
+    PAGE.write_text(text, encoding="utf-8")

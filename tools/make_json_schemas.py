@@ -37,7 +37,7 @@ def schema_of(kind: Any, known: dict[str, Any]) -> dict[str, Any]:
     if origin is Literal:
         return {"enum": list(inside)}
     if origin in (Union, types.UnionType):
-        return {"anyOf": [schema_of(one, known) for one in inside]}
+        return {"anyOf": [schema_of(part, known) for part in inside]}
     if origin is tuple or origin is list:
         return {"type": "array", "items": schema_of(inside[0], known)}
     if origin in (dict, Mapping):
@@ -54,9 +54,11 @@ def schema_of(kind: Any, known: dict[str, Any]) -> dict[str, Any]:
     elif kind.__name__ not in known:
         known[kind.__name__] = {}
         hints = typing.get_type_hints(kind, localns={"RankedCandidate": RankedCandidate})
-        fields = {one.name: schema_of(hints[one.name], known) for one in dataclasses.fields(kind)}
+        fields = {
+            field.name: schema_of(hints[field.name], known) for field in dataclasses.fields(kind)
+        }
         # as known_json leaves out
-        needed = [one.name for one in dataclasses.fields(kind) if one.default is not None]
+        needed = [field.name for field in dataclasses.fields(kind) if field.default is not None]
         known[kind.__name__] = {"type": "object", "properties": fields, "required": needed}
     return {"$ref": f"#/$defs/{kind.__name__}"}
 
@@ -64,7 +66,7 @@ def schema_of(kind: Any, known: dict[str, Any]) -> dict[str, Any]:
 def schema_of_verb(verb: str) -> dict[str, Any]:
     """JSON schema of what a verb prints."""
     known: dict[str, Any] = {}
-    found = schema_of(VERBS[verb], known)
+    schema = schema_of(VERBS[verb], known)
     if verb == "enroll":  # prints the fields of its content beside the others
         content, whole = known.pop("GalleryContent"), known["Enrolment"]
         del whole["properties"]["content"]
@@ -77,7 +79,7 @@ def schema_of_verb(verb: str) -> dict[str, Any]:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": f"splitknit {verb} --json",
     }
-    return {**about, **found, "$defs": known}
+    return {**about, **schema, "$defs": known}
 
 
 def main() -> None:

@@ -68,13 +68,13 @@ class House:
         self.imports = {name: self._imports(name) for name in self.files}
 
     def _imports(self, module: str) -> set[str]:
-        found: set[str] = set()
+        modules: set[str] = set()
         for node in ast.walk(self.trees[module]):
             if isinstance(node, ast.Import):
-                found |= {self._known(alias.name) for alias in node.names}
+                modules |= {self._known(alias.name) for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-                found |= {self._known(f"{node.module}.{alias.name}") for alias in node.names}
-        return found - {"", module}
+                modules |= {self._known(f"{node.module}.{alias.name}") for alias in node.names}
+        return modules - {"", module}
 
     def _known(self, name: str) -> str:
         """The module that a dotted name lies in; empty for other packages."""
@@ -88,29 +88,29 @@ class House:
         order: dict[str, int] = {}
         low: dict[str, int] = {}
         stack: list[str] = []
-        found: list[list[str]] = []
+        components: list[list[str]] = []
 
         def visit(name: str) -> None:
             order[name] = low[name] = len(order)
             stack.append(name)
-            for other in sorted(self.imports[name]):
-                if other not in order:
-                    visit(other)
-                    low[name] = min(low[name], low[other])
-                elif other in stack:
-                    low[name] = min(low[name], order[other])
+            for imported in sorted(self.imports[name]):
+                if imported not in order:
+                    visit(imported)
+                    low[name] = min(low[name], low[imported])
+                elif imported in stack:
+                    low[name] = min(low[name], order[imported])
             if low[name] == order[name]:
                 place = stack.index(name)
                 component = stack[place:]
                 del stack[place:]
                 if len(component) > 1:
-                    found.append(sorted(component))
+                    components.append(sorted(component))
 
         sys.setrecursionlimit(10_000)
         for name in self.files:
             if name not in order:
                 visit(name)
-        return found
+        return components
 
     def chain(self, starts: tuple[str, ...], goals: tuple[str, ...]) -> list[str]:
         """Shortest chain of imports between the first of each that exist; packages' ``__init__``
@@ -129,18 +129,18 @@ class House:
                     path.append(name)
                     name = before[name]
                 return path[::-1]
-            for other in sorted(self.imports[name]):
-                if other not in before:
-                    before[other] = name
-                    waiting.append(other)
+            for imported in sorted(self.imports[name]):
+                if imported not in before:
+                    before[imported] = name
+                    waiting.append(imported)
         return []
 
     def single_importer(self) -> list[str]:
         """Files that one other file alone imports, in the same folder."""
         importers: dict[str, set[str]] = {name: set() for name in self.files}
         for name, others in self.imports.items():
-            for other in others:
-                importers[other].add(name)
+            for imported in others:
+                importers[imported].add(name)
         return [
             name
             for name, who in importers.items()
@@ -201,7 +201,7 @@ def tokens(path: Path) -> int:
         and isinstance(node.value.value, str)
     }
     each = tokenize.generate_tokens(io.StringIO(text).readline)
-    return sum(one.type not in LAYOUT and one.start not in strings for one in each)
+    return sum(token.type not in LAYOUT and token.start not in strings for token in each)
 
 
 def tokens_by_package(package: Path) -> Counter[str]:
@@ -308,10 +308,10 @@ def measure(sources: Sequence[Path]) -> dict[str, float | int | None]:
         "names_of_modules": names.total(),
         "homonyms": sum(count > 1 for count in names.values()),
         "functions_with_whole_settings": sum(
-            name not in ENTRIES and any(_takes_whole_settings(arg) for arg in given)
-            for name, given in parameters
+            name not in ENTRIES and any(_takes_whole_settings(arg) for arg in arguments)
+            for name, arguments in parameters
         ),
-        "functions_with_many_parameters": sum(len(given) > 5 for _, given in parameters),
+        "functions_with_many_parameters": sum(len(arguments) > 5 for _, arguments in parameters),
         "noqa": sum("noqa" in line for text in texts for line in text.splitlines()),
         "readme_words": (
             len(readme.read_text(encoding="utf-8").split()) if readme.is_file() else None
@@ -351,7 +351,8 @@ def main() -> None:
         return
     lines = [f"{'member':24}{'files':>8}{'lines':>8}{'tokens':>9}{'public names':>14}"]
     lines += [
-        f"{row['member']:24}{row['files']:8}{row['lines']:8}{row['tokens']:9}{row['public_names']:14}"
+        f"{row['member']:24}{row['files']:8}{row['lines']:8}{row['tokens']:9}"
+        f"{row['public_names']:14}"
         for row in by_member
     ]
     packages = [

@@ -68,21 +68,21 @@ def rows(settings: Any, prefix: str = "") -> list[tuple[str, Any, str]]:
         If a setting has no docstring below it.
     """
     words = field_words(type(settings))
-    found: list[tuple[str, Any, str]] = []
+    table: list[tuple[str, Any, str]] = []
     for field in fields(settings):
         value = getattr(settings, field.name)
         if is_dataclass(value):
-            found += rows(value, f"{prefix}{field.name}.")
+            table += rows(value, f"{prefix}{field.name}.")
         else:
             if not words.get(field.name):
                 raise ValueError(
                     f"{type(settings).__qualname__}.{field.name} needs a docstring below it."
                 )
-            found.append((prefix + field.name, value, words[field.name]))
-    return found
+            table.append((prefix + field.name, value, words[field.name]))
+    return table
 
 
-def shown(value: Any) -> str:
+def typed(value: Any) -> str:
     """A value as it is typed behind ``--set name=``."""
     return value if isinstance(value, str) else json.dumps(value)
 
@@ -95,10 +95,10 @@ def preset_table() -> str:
         others: dict[str, list[str]] = {}
         for preset, table in tables.items():
             if table[k][1] != value:
-                others.setdefault(shown(table[k][1]), []).append(f"`{preset}`")
-        changed = "; ".join(f"{', '.join(presets)}: {other}" for other, presets in others.items())
+                others.setdefault(typed(table[k][1]), []).append(f"`{preset}`")
+        changed = "; ".join(f"{', '.join(presets)}: {values}" for values, presets in others.items())
         lines.append(
-            f"| `{name}` | {shown(value)}{f' ({changed})' if changed else ''} |"
+            f"| `{name}` | {typed(value)}{f' ({changed})' if changed else ''} |"
             f" {words.replace('|', ' or ')} |"
         )
     return "\n".join(lines)
@@ -108,7 +108,7 @@ def plain_table(settings: Any, prefix: str = "") -> str:
     """Settings of one dataclass, its groups opened."""
     lines = ["| setting | default | what it does |", "| --- | --- | --- |"]
     lines += [
-        f"| `{name}` | {shown(value)} | {words.replace('|', ' or ')} |"
+        f"| `{name}` | {typed(value)} | {words.replace('|', ' or ')} |"
         for name, value, words in rows(settings, prefix)
     ]
     return "\n".join(lines)

@@ -47,12 +47,12 @@ def test_rows_are_what_a_reconstruction_gives(
     assert row["area_mm2"] == pytest.approx(result.mask.sum() * result.pitch_mm**2)
     assert row["sharpness_white"] == result.quality["white"]["sharpness"]
     (tmp_path / "print.png").write_bytes(row["print"])
-    shown = read_print_png(tmp_path / "print.png")
+    written = read_print_png(tmp_path / "print.png")
     place = result.input_from_upright, result.upright_size
     np.testing.assert_array_equal(
-        shown.image, relief_print(result.ridge_mm, result.mask, 1 / result.pitch_mm, *place)
+        written.image, relief_print(result.ridge_mm, result.mask, 1 / result.pitch_mm, *place)
     )
-    assert shown.resolution_ppi == pytest.approx(500, rel=1e-3)
+    assert written.resolution_ppi == pytest.approx(500, rel=1e-3)
     kept = Store(reconstructed).places("features", "ea")[row["capture"]].surface()
     for name, channel in surface_images(surface).channels.items():
         np.testing.assert_array_equal(surface_images(kept).channels[name], channel)
@@ -276,10 +276,11 @@ def test_the_thesis_and_minutiae_compare_what_is_kept(people: Path, store: Path)
         rows_of(Store(store).scores("ea", "thesis-code"))[1]["shift_px"]
         == code_match(*map(code_side, sides)).shift_px
     )
-    found = Store(store).scores("ea", "minutiae")
-    assert found["similarity"].tolist() == found["bozorth3"].tolist()
+    scores = Store(store).scores("ea", "minutiae")
+    assert scores["similarity"].tolist() == scores["bozorth3"].tolist()
     assert (
-        found["similarity"][found["genuine"]].min() > found["similarity"][~found["genuine"]].max()
+        scores["similarity"][scores["genuine"]].min()
+        > scores["similarity"][~scores["genuine"]].max()
     )
     # made once: the second run reads them
     before = tables(store)
@@ -326,12 +327,14 @@ def test_other_settings_are_refused_by_name(people: Path, store: Path) -> None:
 def test_other_populations_versions_and_folders_are_refused(
     people: Path, store: Path, tmp_path: Path
 ) -> None:
-    other = tmp_path / "other"
-    shutil.copytree(people, other, ignore=shutil.ignore_patterns("*.png", "truth.npz"))
-    document = json.loads((other / "population.json").read_text())
-    (other / "population.json").write_text(json.dumps(document | {"settings_sha256": "0" * 64}))
+    changed_people = tmp_path / "other"
+    shutil.copytree(people, changed_people, ignore=shutil.ignore_patterns("*.png", "truth.npz"))
+    document = json.loads((changed_people / "population.json").read_text())
+    (changed_people / "population.json").write_text(
+        json.dumps(document | {"settings_sha256": "0" * 64})
+    )
     with pytest.raises(BadInput, match=r"another population\.sha256"):
-        run(other, store)
+        run(changed_people, store)
     kept = (store / "store.json").read_text()
     for change, words in (
         (
@@ -382,8 +385,8 @@ def test_damaged_tables_are_named(people: Path, store: Path, damage) -> None:
 
 def test_two_runs_into_one_store(people: Path, store: Path) -> None:
     before = tables(store)
-    with (store / ".lock").open("ab") as other:
-        fcntl.flock(other, fcntl.LOCK_EX)
+    with (store / ".lock").open("ab") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
         with pytest.raises(BadInput, match="another run is writing"):
             run(people, store)
     assert tables(store) == before

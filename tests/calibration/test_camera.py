@@ -11,8 +11,8 @@ from splitknit_rig.calibration.camera import fit_camera, fit_lens
 
 
 def test_a_long_lens_is_found_and_its_distortion_held():
-    found = fit_camera(views(0), BOARD, SIZE)
-    lens = found.lens
+    calibration = fit_camera(views(0), BOARD, SIZE)
+    lens = calibration.lens
     assert lens.matrix[0, 0] == pytest.approx(2650, rel=1e-3)
     assert lens.matrix[0, 0] == lens.matrix[1, 1]
     assert np.abs(lens.matrix[:2, 2] - MATRIX[:2, 2]).max() < 3
@@ -22,9 +22,9 @@ def test_a_long_lens_is_found_and_its_distortion_held():
     assert "+-" in lens.fixed["k2"]
     assert "not tried" in lens.fixed["k3"]
     assert lens.fitted == ("cx", "cy")
-    assert found.findings == ()
-    assert found.variety_deg > 30
-    assert len(found.used) == len(lens.view_rms_px) == 10
+    assert calibration.findings == ()
+    assert calibration.variety_deg > 30
+    assert len(calibration.used) == len(lens.view_rms_px) == 10
 
 
 @pytest.mark.parametrize(
@@ -40,20 +40,20 @@ def test_terms_that_the_photographs_show_are_fitted(distortion, fitted):
     assert lens.matrix[0, 0] == pytest.approx(2650, rel=1e-3)
     for term, value in zip(("k1", "k2", "p1", "p2", "k3"), distortion, strict=True):
         if term in fitted:
-            found = lens.distortion[("k1", "k2", "p1", "p2", "k3").index(term)]
-            assert abs(found - value) < 4 * lens.deviations[term]
+            estimate = lens.distortion[("k1", "k2", "p1", "p2", "k3").index(term)]
+            assert abs(estimate - value) < 4 * lens.deviations[term]
 
 
 @pytest.mark.slow
 def test_standard_deviations_are_what_repetition_gives():
     exact = views(3, 8, noise_px=0)
     rng = np.random.default_rng(7)
-    found = [
+    fits = [
         fit_lens(BOARD.points_mm, [v + rng.normal(0, 0.05, v.shape) for v in exact], SIZE)
         for _ in range(10)
     ]
-    values = np.array([[one.matrix[0, 0], *one.matrix[:2, 2]] for one in found])
-    deviation = np.mean([[one.deviations[k] for k in ("fx", "cx", "cy")] for one in found], axis=0)
+    values = np.array([[fit.matrix[0, 0], *fit.matrix[:2, 2]] for fit in fits])
+    deviation = np.mean([[fit.deviations[k] for k in ("fx", "cx", "cy")] for fit in fits], axis=0)
     ratio = values.std(axis=0, ddof=1) / deviation
     assert np.all((ratio > 0.5) & (ratio < 2))  # 10 draws: each to 24 %
     assert 0.7 < np.exp(np.log(ratio).mean()) < 1.4
@@ -67,22 +67,22 @@ def test_a_bad_photograph_is_left_out_and_named():
     sets[5] = sets[5] + rng.normal(0, 0.3, sets[5].shape)
     sets[9] = sets[9] + rng.normal(0, 1.0, sets[9].shape)
     names = [f"photo{k}.png" for k in range(12)]
-    found = fit_camera(sets, BOARD, SIZE, names)
-    assert list(found.rejected) == ["photo9.png", "photo5.png"]
-    assert found.rejected["photo9.png"] == pytest.approx(1.4, rel=0.2)
-    assert found.rejected["photo5.png"] == pytest.approx(0.42, rel=0.2)
-    assert len(found.used) == 10
-    assert found.lens.matrix[0, 0] == pytest.approx(2650, rel=2e-3)
+    calibration = fit_camera(sets, BOARD, SIZE, names)
+    assert list(calibration.rejected) == ["photo9.png", "photo5.png"]
+    assert calibration.rejected["photo9.png"] == pytest.approx(1.4, rel=0.2)
+    assert calibration.rejected["photo5.png"] == pytest.approx(0.42, rel=0.2)
+    assert len(calibration.used) == 10
+    assert calibration.lens.matrix[0, 0] == pytest.approx(2650, rel=2e-3)
     kept = fit_lens(BOARD.points_mm, sets, SIZE)
-    assert abs(kept.matrix[0, 0] - 2650) > abs(found.lens.matrix[0, 0] - 2650)
+    assert abs(kept.matrix[0, 0] - 2650) > abs(calibration.lens.matrix[0, 0] - 2650)
 
 
 def test_the_same_photograph_twice_counts_once():
     sets = views(5, 6)
     twice = [*sets, sets[2] + 0.05, sets[0][::-1]]
-    found = fit_camera(twice, BOARD, SIZE, list("abcdefgh"))
-    assert found.repeated == {"g": "c", "h": "a"}
-    assert found.used == tuple("abcdef")
+    calibration = fit_camera(twice, BOARD, SIZE, list("abcdefgh"))
+    assert calibration.repeated == {"g": "c", "h": "a"}
+    assert calibration.used == tuple("abcdef")
     with pytest.raises(
         BadInput, match=r"only 4 of 8 photographs .* can be used \(4 of them twice\)"
     ):
@@ -102,9 +102,9 @@ def test_boards_parallel_to_the_sensor_are_refused():
 def test_boards_in_one_corner_are_warned_about():
     marks = BOARD.points_mm - BOARD.points_mm.mean(axis=0)
     sets = [0.5 * seen(marks, turned(10 + 3 * k, 70 * k), (0, 0, 140.0)) for k in range(8)]
-    found = fit_camera(sets, BOARD, SIZE)
-    assert found.coverage < 0.4
-    assert "uncovered-picture" in [finding.code for finding in found.findings]
+    calibration = fit_camera(sets, BOARD, SIZE)
+    assert calibration.coverage < 0.4
+    assert "uncovered-picture" in [finding.code for finding in calibration.findings]
 
 
 def test_stretched_photographs_are_refused():

@@ -44,11 +44,12 @@ def picture(board, tilt=20.0, towards=40.0, *, spin=5.0, middle=(0.0, 0.0, 140.0
     return cv2.GaussianBlur(image, (0, 0), blur), truth
 
 
-def error(found, truth):
+def error(corners, truth):
     """Rms distance, whichever corner is the first."""
-    assert found is not None
+    assert corners is not None
     return min(
-        float(np.sqrt(((found - there) ** 2).sum(axis=1).mean())) for there in (truth, truth[::-1])
+        float(np.sqrt(((corners - there) ** 2).sum(axis=1).mean()))
+        for there in (truth, truth[::-1])
     )
 
 
@@ -75,10 +76,10 @@ def test_light_depth_and_colour_do_not_matter():
 @pytest.mark.slow
 def test_only_the_board_that_was_asked_for_is_found():
     image, truth = picture(Board(9, 6, 3.0))
-    other = find_board(image, Board(6, 9, 3.0))  # the same board, its corners in another order
-    nearest = np.linalg.norm(other[:, None] - truth, axis=2).argmin(axis=1)
+    reordered = find_board(image, Board(6, 9, 3.0))  # the same board, its corners in another order
+    nearest = np.linalg.norm(reordered[:, None] - truth, axis=2).argmin(axis=1)
     assert sorted(nearest) == list(range(54))
-    assert np.abs(other - truth[nearest]).max() < 0.1
+    assert np.abs(reordered - truth[nearest]).max() < 0.1
     assert np.diff(nearest.reshape(9, 6), axis=1).std() == 0
     for size in ((8, 6), (9, 5), (7, 5), (10, 6), (9, 7)):
         assert find_board(image, Board(*size, 3.0)) is None, size

@@ -76,7 +76,7 @@ def test_reconstruct_writes_and_says_so(
             "knit.method=addition",
         ]
     )
-    said = capsys.readouterr()
+    output = capsys.readouterr()
     assert code == 0
     assert seen == {
         "preset": "snk",
@@ -85,11 +85,11 @@ def test_reconstruct_writes_and_says_so(
         "tip": None,
     }
     assert {path.name for path in out.iterdir()} >= set(FILES)
-    assert "preset snk" in said.out
-    assert "Please note: No flexion crease is in view" in said.out
-    assert "Against the truth (snk): surface rms 0.000 mm" in said.out
-    assert str(out / "report.html") in said.out
-    assert said.err == ""  # no progress in a pipe
+    assert "preset snk" in output.out
+    assert "Please note: No flexion crease is in view" in output.out
+    assert "Against the truth (snk): surface rms 0.000 mm" in output.out
+    assert str(out / "report.html") in output.out
+    assert output.err == ""  # no progress in a pipe
 
 
 def test_json_is_one_object_and_nothing_else(
@@ -97,22 +97,22 @@ def test_json_is_one_object_and_nothing_else(
 ) -> None:
     out = capture_folder.parent / "result"
     assert main(["reconstruct", str(capture_folder), "--out", str(out), "--json"]) == 0
-    said = capsys.readouterr()
-    facts = json.loads(said.out)
+    output = capsys.readouterr()
+    facts = json.loads(output.out)
     assert facts["preset"] == "metric"
     assert facts["files"] == list(FILES)
     assert facts["findings"][0]["severity"] in ("spoils", "doubt", "note")
     assert facts["comparison"]["metric"]["ridge_correlation"] > 0.99
-    assert said.err == ""
+    assert output.err == ""
 
 
 def test_bad_input_is_one_sentence_and_code_2(tmp_path: Path, capsys: Captured) -> None:
     assert main(["reconstruct", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("splitknit: error: ")
-    assert said.err.count("\n") == 1
-    assert "nowhere" in said.err
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.startswith("splitknit: error: ")
+    assert output.err.count("\n") == 1
+    assert "nowhere" in output.err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -141,11 +141,11 @@ def test_failures_have_their_codes(  # noqa: PLR0917
     seen["raise"] = error
     out = capture_folder.parent / "deep" / "result"
     assert main(["reconstruct", str(capture_folder), "--out", str(out)]) == code
-    said = capsys.readouterr()
-    assert words in said.err
-    assert said.err.count("\n") == 1
-    assert "Traceback" not in said.err
-    assert said.out == ""
+    output = capsys.readouterr()
+    assert words in output.err
+    assert output.err.count("\n") == 1
+    assert "Traceback" not in output.err
+    assert output.out == ""
     assert [path.name for path in capture_folder.parent.iterdir()] == ["capture"]
 
 
@@ -218,7 +218,7 @@ def test_a_closed_pipe_is_no_error_and_a_full_disk_is_one_sentence(
         sys.executable,
         "-m",
         "splitknit",
-        *(str(tmp_path / "out") if one == "OUT" else one for one in words),
+        *(str(tmp_path / "out") if word == "OUT" else word for word in words),
     ]
     reading, closed = os.pipe()
     os.close(reading)
@@ -442,7 +442,7 @@ def test_arguments_that_messages_name_are_fields_of_verbs() -> None:
                 "BadInput",
                 "Refused",
             ):
-                texts = [one.value for one in ast.walk(call) if isinstance(one, ast.Constant)]
+                texts = [node.value for node in ast.walk(call) if isinstance(node, ast.Constant)]
                 named |= {
                     name for text in texts for name in re.findall("`([a-z_0-9]+)`", str(text))
                 }

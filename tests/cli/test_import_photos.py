@@ -151,8 +151,8 @@ def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
     ],
 )
 def test_refusals(options: list[str], words: str, photos: Path, tmp_path: Path, capsys) -> None:
-    given = [option.replace("PHOTOS", str(photos)) for option in options]
-    assert main(["reconstruct", *given, "--out", str(tmp_path / "out")]) == 2
+    command = [option.replace("PHOTOS", str(photos)) for option in options]
+    assert main(["reconstruct", *command, "--out", str(tmp_path / "out")]) == 2
     assert words.replace("PHOTOS", str(photos)) in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
@@ -204,7 +204,7 @@ def test_a_crossed_series_is_imported_beside_the_parallel_one(
         main(["reconstruct", str(tmp_path / "c"), "--preset", "ea", "--out", str(tmp_path / "r")])
         == 0
     )
-    one = (
+    command = (
         "--images",
         parallel,
         "--crossed",
@@ -214,7 +214,7 @@ def test_a_crossed_series_is_imported_beside_the_parallel_one(
         "--out",
         tmp_path / "small",
     )
-    assert imported(*one) == 0
+    assert imported(*command) == 0
     assert {band.pixels.shape for band in read_capture(tmp_path / "small").bands.values()} == {
         (5, 100, 100, 1)
     }
@@ -258,10 +258,10 @@ def test_frames_of_a_camera_with_films_on_its_pixels(photos: Path, tmp_path: Pat
     parallel, crossed = polarised_photos(photos, tmp_path)
     frames = tmp_path / "frames"
     frames.mkdir()
-    for k, (one, other) in enumerate(
+    for k, (parallel_file, crossed_file) in enumerate(
         zip(sorted(parallel.glob("*.png")), sorted(crossed.glob("*.png")), strict=True)
     ):
-        through = [np.asarray(Image.open(name)) for name in (one, other)]
+        through = [np.asarray(Image.open(name)) for name in (parallel_file, crossed_file)]
         mosaic = np.zeros((400, 400), np.uint16)
         mosaic[0::2, 0::2], mosaic[1::2, 1::2] = through[0], through[1]  # 90 and 0 degrees
         mosaic[0::2, 1::2] = mosaic[1::2, 0::2] = (through[0] // 2) + (through[1] // 2)
@@ -275,8 +275,8 @@ def test_frames_of_a_camera_with_films_on_its_pixels(photos: Path, tmp_path: Pat
         first = np.asarray(Image.open(sorted(folder.glob("*.png"))[0])).astype(float)[
             60:140, 60:140
         ]
-        found = capture.bands[name].pixels[middle].astype(float)
-        assert np.abs(found - first).mean() < 0.02 * first.mean()
+        imported_pixels = capture.bands[name].pixels[middle].astype(float)
+        assert np.abs(imported_pixels - first).mean() < 0.02 * first.mean()
     capsys.readouterr()
     for more, words in (
         (("--encoding", "srgb"), "a mosaic of films is linear"),

@@ -14,8 +14,8 @@ from splitknit.io.atomic import GROUP_READABLE
 
 
 def _modes(folder: Path) -> tuple[set[int], set[int]]:
-    found = {path: stat.S_IMODE(path.stat().st_mode) for path in folder.rglob("*")}
-    return {m for p, m in found.items() if p.is_file()}, {m for p, m in found.items() if p.is_dir()}
+    modes = {path: stat.S_IMODE(path.stat().st_mode) for path in folder.rglob("*")}
+    return {m for p, m in modes.items() if p.is_file()}, {m for p, m in modes.items() if p.is_dir()}
 
 
 @pytest.mark.slow

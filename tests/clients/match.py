@@ -16,16 +16,16 @@ def same(a: Path, b: str) -> bool:
 
 def known(gallery: str, probe: Path) -> list[str]:
     splitknit_match.enroll(gallery, probe, "A", "right_index", duplicates="warn")
-    found = splitknit_match.identify(gallery, probe, top=3, merge="person")
+    identification = splitknit_match.identify(gallery, probe, top=3, merge="person")
     return [
         f"{candidate.rank} {candidate.person} {candidate.similarity}"
-        for candidate in found.candidates
+        for candidate in identification.candidates
     ]
 
 
 def printed(result: str) -> None:
-    made = splitknit_match.make_print(result, method="unroll", ppi=500.0)
-    cv2.imwrite("print.png", made.image)
+    printed = splitknit_match.make_print(result, method="unroll", ppi=500.0)
+    cv2.imwrite("print.png", printed.image)
     print(splitknit_match.evaluate(["scores.csv"], cluster="subject"))
 
 

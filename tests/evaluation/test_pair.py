@@ -83,12 +83,12 @@ POSE: dict[str, Any] = {"roll": 0.12, "yaw": 0.08, "moved": (0.6, -0.4)}
 @pytest.mark.slow
 def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported() -> None:
     a, b = laid_down(), laid_down(**POSE, um=25.0)
-    found = compare_results(a, b)
-    assert np.rad2deg(np.arccos((np.trace(found.rotation) - 1) / 2)) == pytest.approx(
+    comparison = compare_results(a, b)
+    assert np.rad2deg(np.arccos((np.trace(comparison.rotation) - 1) / 2)) == pytest.approx(
         8.26, abs=0.05
     )
-    assert found.scale == pytest.approx(1.0, abs=0.02)
-    ridges = found.figures["0.25 to 0.8 mm"][MAIN]
+    assert comparison.scale == pytest.approx(1.0, abs=0.02)
+    ridges = comparison.figures["0.25 to 0.8 mm"][MAIN]
     assert ridges["gain"]["value"] == pytest.approx(1.2, abs=0.02)
     assert ridges["correlation"]["value"] > 0.995
     assert ridges["gain"]["low"] <= ridges["gain"]["value"] <= ridges["gain"]["high"]
@@ -96,23 +96,23 @@ def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported() -> Non
     assert same["relief"][MAIN]["rms_um"]["value"] < 1.0
     assert same["above 8 mm"][MAIN]["rms_um"]["value"] < 1.0
     back = compare_results(b, a)
-    np.testing.assert_allclose(back.rotation @ found.rotation, np.eye(3), atol=1e-3)
+    np.testing.assert_allclose(back.rotation @ comparison.rotation, np.eye(3), atol=1e-3)
     assert back.figures["relief"][MAIN]["gain"]["value"] == pytest.approx(1 / 1.2, abs=0.02)
 
 
 @pytest.mark.parametrize("fit", ["rigid", "elastic"])
 def test_a_surface_differs_from_itself_by_nothing(fit: Any) -> None:
-    found = compare_results(laid_down(), laid_down(), fit=fit)
-    assert found.figures["relief"][MAIN]["rms_um"]["value"] < 0.1
-    assert "same measurement, to the last digit" in str(found.findings[0])
+    comparison = compare_results(laid_down(), laid_down(), fit=fit)
+    assert comparison.figures["relief"][MAIN]["rms_um"]["value"] < 0.1
+    assert "same measurement, to the last digit" in str(comparison.findings[0])
 
 
 def test_a_perspective_camera_sees_the_same_surface() -> None:
     """Its pixels lie up to 0.1 mm beside those of parallel rays (ridges in between follow the
     smooth body's depth)."""
-    found = compare_results(laid_down(), laid_down(near_mm=60.0)).figures
-    assert found["0.25 to 0.8 mm"][MAIN]["rms_um"]["value"] < 1.0
-    assert found["above 8 mm"][MAIN]["rms_um"]["value"] < 2.0
+    figures = compare_results(laid_down(), laid_down(near_mm=60.0)).figures
+    assert figures["0.25 to 0.8 mm"][MAIN]["rms_um"]["value"] < 1.0
+    assert figures["above 8 mm"][MAIN]["rms_um"]["value"] < 2.0
 
 
 @pytest.mark.slow
@@ -121,15 +121,17 @@ def test_what_lies_steeper_than_60_deg_is_not_compared() -> None:
     x = np.arange(-7.9, 7.9, PITCH)
     beyond = np.maximum(np.rad2deg(np.arcsin(np.clip(np.abs(x) / RADIUS_MM, 0, 0.95))) - 61.0, 0.0)
     wrong = replace(true, height_mm=true.height_mm + np.float32(0.05) * beyond.astype(np.float32))
-    found = compare_results(wrong, true).figures["relief"][MAIN]
-    assert found["rms_um"]["value"] < 0.5
+    relief = compare_results(wrong, true).figures["relief"][MAIN]
+    assert relief["rms_um"]["value"] < 0.5
 
 
 @pytest.mark.slow
 def test_skin_that_has_shifted_is_followed_by_the_elastic_fit() -> None:
     a, b = laid_down(), laid_down(**POSE, stretched=0.03)
     stiff, soft = compare_results(a, b), compare_results(a, b, fit="elastic")
-    rms = [one.figures["relief"]["0 to 20"]["rms_um"]["value"] for one in (stiff, soft)]
+    rms = [
+        comparison.figures["relief"]["0 to 20"]["rms_um"]["value"] for comparison in (stiff, soft)
+    ]
     assert 3 * rms[1] < rms[0]
     assert rms[1] < 1.0
     assert [finding.code for finding in stiff.findings] == ["shifted-skin"]
@@ -184,7 +186,7 @@ def test_the_stated_errors_are_those_of_the_study() -> None:
     }
     for protocol, bands in PROTOCOLS.items():
         for band, (rms, gain) in zip(BANDS_MM, bands, strict=False):
-            rows = [one["truth"][names[protocol]]["bands"][band][MAIN] for one in study.values()]
+            rows = [pair["truth"][names[protocol]]["bands"][band][MAIN] for pair in study.values()]
             assert rms == pytest.approx(
                 np.sqrt(np.mean([row["rms_um"] ** 2 for row in rows])), abs=0.05
             )

@@ -56,9 +56,9 @@ def test_all_eight_frames(data_dir, name):
         pytest.skip("data sets are absent")
     stack, lights, mask = images_of(data_dir, name)
     for frame, matrix in FRAMES.items():
-        given = np.array(lights, dtype=float)
-        given[:, :2] = given[:, :2] @ np.array(matrix, dtype=float)
-        assert fit_lights(stack, given, mask).frame == frame
+        turned = np.array(lights, dtype=float)
+        turned[:, :2] = turned[:, :2] @ np.array(matrix, dtype=float)
+        assert fit_lights(stack, turned, mask).frame == frame
 
 
 @pytest.mark.slow

@@ -25,13 +25,13 @@ def test_an_opaque_gel_is_no_skin(data_dir, part, material):
         lights = script("light_orders").lights_of_balls(data_dir)
     files = [folder / f"image{k:02d}.png" for k in range(7, 13)]
     images = [
-        cv2.resize(cv2.imread(str(one), 0), None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA)
-        for one in files
+        cv2.resize(cv2.imread(str(file), 0), None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA)
+        for file in files
     ]
     strength = np.linalg.norm(lights, axis=1)
     leds = tuple(
-        Led("white", direction=tuple(one / s), intensity=float(s))
-        for one, s in zip(lights, strength, strict=True)
+        Led("white", direction=tuple(light / s), intensity=float(s))
+        for light, s in zip(lights, strength, strict=True)
     )
     stack = np.stack(images)[..., None]
     band = Band("white", stack, tuple((k,) for k in range(6)), np.ones(6), np.zeros(6))
@@ -53,5 +53,5 @@ def test_live_fingers_of_another_renderer_are_no_attacks(data_dir, part):
     if not folder.is_dir():
         pytest.skip("data set is absent")
     capture = read_capture(folder)
-    found = judge(pad_features(pad_images(capture), reconstruct(capture, "metric")))
-    assert not_covered(capture) == "" and found.answer != "attack"
+    judgement = judge(pad_features(pad_images(capture), reconstruct(capture, "metric")))
+    assert not_covered(capture) == "" and judgement.answer != "attack"

@@ -173,9 +173,9 @@ def people(gallery: Path) -> frozenset[str]:
 def left_in(tree: Path) -> list[str]:
     """Temporary folders and journals."""
     return [
-        str(one)
+        str(path)
         for pattern in (".splitknit-*", "*-journal", "*-wal", "*-shm")
-        for one in tree.rglob(pattern)
+        for path in tree.rglob(pattern)
     ]
 
 
@@ -231,33 +231,33 @@ def stopped_once(
             os.kill(child, number)
 
     def wrong(when: str) -> list[str]:
-        found, there = [], contents(out)
+        faults, there = [], contents(out)
         whole = there == before or set(there) == names
         if MANIFEST in there and there != before:
             whole &= set(manifest_of(out)) == set(there) - {MANIFEST}
-        found += (
+        faults += (
             [] if whole or (name in PARTS and set(there) <= names) else [f"{when}: {sorted(there)}"]
         )
         # what was answered is there
         if people(gallery) not in (possible[1:] if True in asked else possible):
-            found.append(f"{when}: {sorted(people(gallery))}")
-        return found
+            faults.append(f"{when}: {sorted(people(gallery))}")
+        return faults
 
     (tree / "log").touch()  # it may be stopped before it opens its log
     code = forked(words, tree / "log", stop)
-    said = (tree / "log").read_text()
+    log = (tree / "log").read_text()
     stray = left_in(tree)
-    found = [] if code in (0, 130, -number) else [f"exit code {code}: {said[-200:]}"]
-    found += [f"Traceback: {said[-500:]}"] if "Traceback" in said else []
+    faults = [] if code in (0, 130, -number) else [f"exit code {code}: {log[-200:]}"]
+    faults += [f"Traceback: {log[-500:]}"] if "Traceback" in log else []
     if number != signal.SIGKILL:
-        found += [f"left: {stray}"] if stray else []
-        return [*found, *wrong("after the signal")]
-    found += wrong("after SIGKILL")
+        faults += [f"left: {stray}"] if stray else []
+        return [*faults, *wrong("after the signal")]
+    faults += wrong("after SIGKILL")
     again = f"gallery list {gallery}".split() if name == "serve" else words
     code = forked(again, tree / "log")  # what is done already is no longer possible
-    found += [] if code in (0, 2) else [f"the next run: exit code {code}"]
-    found += [f"left after the next run: {left_in(tree)}"] if left_in(tree) else []
-    return [*found, *wrong("after the next run")]
+    faults += [] if code in (0, 2) else [f"the next run: exit code {code}"]
+    faults += [f"left after the next run: {left_in(tree)}"] if left_in(tree) else []
+    return [*faults, *wrong("after the next run")]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -304,10 +304,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for run in range(options.runs):
                 tree = Path(root) / f"{name}-{run}"
                 tree.mkdir()
-                found = stopped_once(name, base, tree, seconds, draw)
-                findings += len(found)
-                for one in found:
-                    print(f"{name}: {one}")
+                faults = stopped_once(name, base, tree, seconds, draw)
+                findings += len(faults)
+                for fault in faults:
+                    print(f"{name}: {fault}")
                 shutil.rmtree(tree)
     print(
         f"{len(options.only)} verbs, {options.runs * len(options.only)} runs, {findings} findings"

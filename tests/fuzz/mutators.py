@@ -155,12 +155,12 @@ def inputs(draw: Draw, samples: list[Files], repair: Callable[[Files], Files] | 
         # small files are documents, which decide more than pixels do
         name = draw(st.sampled_from(names) | st.sampled_from(names[:3]))
         if draw(rarely) and (len(result) > 1 or draw(rarely)):
-            other = draw(st.sampled_from((None, *SPECIAL, result[names[0]], result[names[-1]])))
-            result[name] = other
-            if other is None:
+            content = draw(st.sampled_from((None, *SPECIAL, result[names[0]], result[names[-1]])))
+            result[name] = content
+            if content is None:
                 del result[name]
         else:
-            pool = [other[name] for other in samples if isinstance(other.get(name), bytes)]
+            pool = [sample[name] for sample in samples if isinstance(sample.get(name), bytes)]
             result[name] = changed(draw, result[name], pool)[:LONGEST]  # type: ignore[arg-type]
     result = repair(result) if repair is not None and draw(st.booleans()) else result
     assume(result not in samples)
@@ -228,10 +228,11 @@ def any_bytes(draw: Draw, data: bytes, pool: list[Any] | None = None) -> bytes:
         return data[:at] + draw(st.binary(min_size=1, max_size=3)) + data[at + 1 :]
     if action == "number":
         at -= at % draw(st.sampled_from((1, size)))
-        return data[:at] + draw(number).to_bytes(size, order) + data[at + size :]  # type: ignore[arg-type]
+        number_bytes = draw(number).to_bytes(size, order)  # type: ignore[arg-type]
+        return data[:at] + number_bytes + data[at + size :]
     if action in ("text", "digits"):  # another number for one that stands there as text
-        found = list(re.finditer(rb"-?\d+(\.\d+)?", data[:20_000])) if action == "digits" else []
-        first, last = draw(st.sampled_from(found)).span() if found else (at, at + len(part))
+        numbers = list(re.finditer(rb"-?\d+(\.\d+)?", data[:20_000])) if action == "digits" else []
+        first, last = draw(st.sampled_from(numbers)).span() if numbers else (at, at + len(part))
         return data[:first] + draw(texts) + data[last:]
     if action == "splice":
         return (
@@ -249,7 +250,7 @@ def any_bytes(draw: Draw, data: bytes, pool: list[Any] | None = None) -> bytes:
 
 
 # --- documents
-# ---------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def _paths(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -324,7 +325,7 @@ def _json_text(draw: Draw, text: str) -> bytes:
         "01",
     )
     number, count = draw(st.sampled_from(words)), draw(st.sampled_from((1, 1, 0)))
-    made = draw(
+    document = draw(
         st.sampled_from(
             (
                 text.replace("{", "{" + key + " 0, ", 1),
@@ -337,14 +338,14 @@ def _json_text(draw: Draw, text: str) -> bytes:
             )
         )
     )
-    return made.encode("utf-8", "surrogatepass")
+    return document.encode("utf-8", "surrogatepass")
 
 
 def _table(draw: Draw, data: bytes) -> bytes:
     """Change lines and cells of a table, or of settings."""
     lines = data.split(b"\n")
     k, j = (draw(st.integers(0, len(lines) - 1)) for _ in range(2))
-    separator = next((one for one in (b",", b"\t", b"=", b" ") if one in lines[k]), b",")
+    separator = next((mark for mark in (b",", b"\t", b"=", b" ") if mark in lines[k]), b",")
     cells = lines[k].split(separator)
     c = draw(st.integers(0, len(cells) - 1))
     action = draw(st.integers(0, 7))
@@ -438,8 +439,8 @@ def _png(draw: Draw, data: bytes) -> bytes:
         head[place] = draw(st.sampled_from(choices))
         chunks[0] = chunks[0][0], struct.pack(">IIBBBBB", *head)
     else:
-        chunks[k] = kind, any_bytes(draw, body, [one for _, one in chunks])
-    return PNG + b"".join(chunk(*one) for one in chunks)
+        chunks[k] = kind, any_bytes(draw, body, [data for _, data in chunks])
+    return PNG + b"".join(chunk(*part) for part in chunks)
 
 
 def _tiff(draw: Draw, data: bytes) -> bytes:
@@ -450,8 +451,8 @@ def _tiff(draw: Draw, data: bytes) -> bytes:
     at = place + 2 + 12 * draw(st.integers(0, count - 1))
     entry = list(struct.unpack_from(order + "HHII", data, at))
     k = draw(st.integers(0, 3))
-    other = st.sampled_from((TIFF_TAGS, range(14), SMALL_EDGES, SMALL_EDGES)[k])
-    entry[k] = draw(other | st.sampled_from((entry[k] + 1, entry[k] - 1))) % (
+    special = st.sampled_from((TIFF_TAGS, range(14), SMALL_EDGES, SMALL_EDGES)[k])
+    entry[k] = draw(special | st.sampled_from((entry[k] + 1, entry[k] - 1))) % (
         1 << (16, 16, 32, 32)[k]
     )
     return data[:at] + struct.pack(order + "HHII", *entry) + data[at + 12 :]
@@ -461,7 +462,7 @@ def _zip(draw: Draw, data: bytes) -> bytes:
     """Write an archive anew with a member changed, missing, doubled, renamed, enormous or of a
     false size."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = [(one.filename, archive.read(one)) for one in archive.infolist()]
+        members = [(member.filename, archive.read(member)) for member in archive.infolist()]
     k = draw(st.integers(0, len(members) - 1))
     name, body = members[k]
     names = ("../x.npy", "/x.npy", "", "x", name.upper(), "x" * 300, "é.npy")
@@ -471,7 +472,7 @@ def _zip(draw: Draw, data: bytes) -> bytes:
     if action == "npy":
         members[k] = name, _npy(draw, body)
     elif action == "bytes":
-        members[k] = name, any_bytes(draw, body, [one for _, one in members])
+        members[k] = name, any_bytes(draw, body, [data for _, data in members])
     elif action == "without":
         del members[k]
     elif action == "double":
@@ -491,12 +492,14 @@ def _zip(draw: Draw, data: bytes) -> bytes:
                 zipfile.ZIP_DEFLATED if len(body) > LONGEST else None,
                 1,
             )
-    made = bytearray(stream.getvalue())
+    archived = bytearray(stream.getvalue())
     if action == "size":  # in the directory, not that of the member
-        place = draw(st.sampled_from([one.start() for one in re.finditer(b"PK\x01\x02", made)]))
+        place = draw(
+            st.sampled_from([entry.start() for entry in re.finditer(b"PK\x01\x02", archived)])
+        )
         place += draw(st.sampled_from((10, 16, 20, 24, 28, 42)))
-        made[place : place + 4] = draw(st.sampled_from(SMALL_EDGES)).to_bytes(4, "little")
-    return bytes(made)
+        archived[place : place + 4] = draw(st.sampled_from(SMALL_EDGES)).to_bytes(4, "little")
+    return bytes(archived)
 
 
 def _header(shape: tuple[int, ...], kind: str, by_columns: bool = False) -> bytes:
@@ -581,8 +584,10 @@ def _sqlite(draw: Draw, data: bytes) -> bytes:
             )
         )
         update = (f"UPDATE {table} SET {column} = ? WHERE rowid = ?", (value, row))
+        new_row = draw(st.sampled_from((-1, 0, 2**62)))
         others = (
-            f"UPDATE {table} SET {column} = (SELECT {column} FROM {table} ORDER BY rowid DESC LIMIT 1)",
+            f"UPDATE {table} SET {column} = "
+            f"(SELECT {column} FROM {table} ORDER BY rowid DESC LIMIT 1)",
             f"DELETE FROM {table} WHERE rowid = {row}",
             f"DELETE FROM {table}",
             f"DROP TABLE {table}",
@@ -593,11 +598,11 @@ def _sqlite(draw: Draw, data: bytes) -> bytes:
             "PRAGMA user_version=0",
             "PRAGMA user_version=2147483647",
             "PRAGMA application_id=1",
-            f"UPDATE {table} SET rowid = {draw(st.sampled_from((-1, 0, 2**62)))} WHERE rowid = {row}",
+            f"UPDATE {table} SET rowid = {new_row} WHERE rowid = {row}",
         )
         with contextlib.suppress(sqlite3.Error):
             database.execute(
-                *draw(st.sampled_from((update, update, *((other, ()) for other in others))))
+                *draw(st.sampled_from((update, update, *((statement, ()) for statement in others))))
             )
         return database.serialize()
 

@@ -40,7 +40,7 @@ from typing import Any
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 from tests.fuzz import PACKAGES
 from tests.fuzz.mutators import Files, inputs
-from tests.fuzz.targets import TARGETS, Target, put, said
+from tests.fuzz.targets import TARGETS, Target, check_refusal, put
 
 from splitknit.errors import BadInput
 
@@ -79,7 +79,7 @@ Task = tuple[Target, int, int]
 
 
 def _memory_mb(key: bytes) -> float:
-    with open("/proc/self/status", "rb") as stream:  # noqa: PTH123 - of every input: Path costs more than the read
+    with open("/proc/self/status", "rb") as stream:  # noqa: PTH123 - read for every input
         return int(next(line for line in stream if line.startswith(key)).split()[1]) / 1024
 
 
@@ -111,7 +111,7 @@ def judge(target: Target, files: Files, folder: Path, output: int) -> str:
         target.read(folder, files)
         verdict = "accepted"
     except BadInput as error:
-        said(error)
+        check_refusal(error)
         verdict = "refused"
     finally:
         sys.setrecursionlimit(deep)
@@ -183,13 +183,13 @@ def in_child(work: Callable[[], Any], out: Path, output: int) -> int:
 def public_readers() -> dict[tuple[str, str], str]:
     """File and name of every public function of the members that is named as a reader, and its
     dotted name."""
-    found = {}
+    functions = {}
     for file in PACKAGES.glob("*/src/*/**/*.py"):
         module = ".".join(file.relative_to(PACKAGES).with_suffix("").parts[3:])
         for node in ast.parse(file.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.FunctionDef) and node.name.startswith(READERS):
-                found[str(file), node.name] = f"{module}.{node.name}"
-    return found
+                functions[str(file), node.name] = f"{module}.{node.name}"
+    return functions
 
 
 def look(scratch: Path, chosen: list[Target]) -> tuple[dict[str, list[Files]], list[str]]:
@@ -305,7 +305,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--hours", type=float, default=None, help="as many as there is time for")
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time (default 2)")
     parser.add_argument(
-        "--target", action="append", choices=[one.name for one in TARGETS], help="only these"
+        "--target", action="append", choices=[target.name for target in TARGETS], help="only these"
     )
     parser.add_argument(
         "--seed", type=int, default=0, help="of the first block of inputs (default 0)"
@@ -317,7 +317,9 @@ def main(arguments: list[str] | None = None) -> int:
         "--json", type=Path, default=None, metavar="FILE", help="write the summary there, too"
     )
     options = parser.parse_args(arguments)
-    chosen = [one for one in TARGETS if options.target is None or one.name in options.target]
+    chosen = [
+        target for target in TARGETS if options.target is None or target.name in options.target
+    ]
     until = None if options.hours is None else time.monotonic() + 3600 * options.hours
     for module in ("tifffile", "nbis"):
         with contextlib.suppress(ImportError):  # once, here, and not in every child
@@ -334,8 +336,8 @@ def main(arguments: list[str] | None = None) -> int:
             raise SystemExit("the sound samples cannot be made")
         samples, problems = pickle.loads((scratch / "samples").read_bytes())
         tasks = _tasks(chosen, math.ceil(options.inputs / len(chosen)), until, options.seed)
-        found = run(tasks, samples, scratch, options.keep, options.jobs)
-        barren = [one for one in chosen if _barren(found["tallies"][one.name])]
+        results = run(tasks, samples, scratch, options.keep, options.jobs)
+        barren = [target for target in chosen if _barren(results["tallies"][target.name])]
         more = run(
             _tasks(barren, MORE, None, options.seed + MORE_SEED),
             samples,
@@ -343,22 +345,22 @@ def main(arguments: list[str] | None = None) -> int:
             options.keep,
             options.jobs,
         )
-    found["findings"] += more["findings"]
-    for target, tally in found["tallies"].items():
+    results["findings"] += more["findings"]
+    for target, tally in results["tallies"].items():
         tally.update(more["tallies"][target])
         print(f"{target:<18}{tally['accepted']:>9} accepted{tally['refused']:>9} refused")
         if _barren(tally):
             problems.append(
                 f"{target}: none of {tally['refused']} inputs was accepted; give it other samples"
             )
-    print("\n\n".join([*problems, *found["findings"]]))
-    total = sum(tally.total() for tally in found["tallies"].values())
-    print(f"{total} inputs, {len(found['findings'])} findings, {len(problems)} problems")
+    print("\n\n".join([*problems, *results["findings"]]))
+    total = sum(tally.total() for tally in results["tallies"].values())
+    print(f"{total} inputs, {len(results['findings'])} findings, {len(problems)} problems")
     if options.json is not None:
         options.json.write_text(
-            json.dumps(found | {"problems": problems}, indent=1) + "\n", encoding="utf-8"
+            json.dumps(results | {"problems": problems}, indent=1) + "\n", encoding="utf-8"
         )
-    return 1 if found["findings"] or problems else 0
+    return 1 if results["findings"] or problems else 0
 
 
 if __name__ == "__main__":

@@ -146,14 +146,14 @@ def _any(*readers: Callable[[], object]) -> object:
         try:
             taken.append(reader())
         except BadInput as error:
-            said(error)
+            check_refusal(error)
             refusal = error
     if refusal is not None and not taken:
         raise refusal
     return taken
 
 
-def said(error: BadInput) -> None:
+def check_refusal(error: BadInput) -> None:
     """A refusal is one printable sentence."""
     text = str(error)
     assert text.strip(), "the refusal is empty"
@@ -169,11 +169,11 @@ def _each(name: str, *contents: bytes) -> list[Files]:
 def _written(name: str, *writers: Callable[[Path], object]) -> list[Files]:
     """What writers of a file make."""
     with tempfile.TemporaryDirectory() as scratch:
-        made = []
+        files = []
         for write in writers:
             write(Path(scratch) / name)
-            made.append({name: (Path(scratch) / name).read_bytes()})
-    return made
+            files.append({name: (Path(scratch) / name).read_bytes()})
+    return files
 
 
 def _folder(make: Callable[[Path], object]) -> Files:
@@ -181,8 +181,8 @@ def _folder(make: Callable[[Path], object]) -> Files:
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch) / "made"
         make(root)
-        found = sorted(file for file in root.rglob("*") if file.is_file())
-        return {file.relative_to(root).as_posix(): file.read_bytes() for file in found}
+        files = sorted(file for file in root.rglob("*") if file.is_file())
+        return {file.relative_to(root).as_posix(): file.read_bytes() for file in files}
 
 
 def _noise(*shape: int, kind: Any = np.uint8, seed: int = 4) -> Any:
@@ -190,7 +190,7 @@ def _noise(*shape: int, kind: Any = np.uint8, seed: int = 4) -> Any:
 
 
 # --- images
-# ------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 @cache
@@ -275,21 +275,21 @@ def _photographs() -> list[Files]:
     exif[274] = 6
     smooth = Image.fromarray(cv2.GaussianBlur(_noise(40, 48, 3), (9, 9), 3))
     floats = np.linspace(0, 1, 20 * 24 * 3, dtype=np.float32).reshape(20, 24, 3)
-    made = _written(
+    files = _written(
         "x.webp",
         lambda path: smooth.save(path, exif=exif),
         lambda path: smooth.save(path, lossless=True),
     )
-    made += _written("x.bmp", smooth.save, smooth.convert("L").save)
-    made += _written("x.jpg", lambda path: smooth.save(path, exif=exif))
-    made += _written("x.png", lambda path: smooth.save(path, exif=exif))
-    made += _written("x.tif", lambda path: smooth.save(path, exif=exif))
-    made += _written("x.tif", lambda path: write_float_tiff(path, floats, "light"))
+    files += _written("x.bmp", smooth.save, smooth.convert("L").save)
+    files += _written("x.jpg", lambda path: smooth.save(path, exif=exif))
+    files += _written("x.png", lambda path: smooth.save(path, exif=exif))
+    files += _written("x.tif", lambda path: smooth.save(path, exif=exif))
+    files += _written("x.tif", lambda path: write_float_tiff(path, floats, "light"))
     with contextlib.suppress(ImportError):
         import pillow_heif
 
-        made += _written("x.heic", pillow_heif.from_pillow(smooth).save)
-    return made
+        files += _written("x.heic", pillow_heif.from_pillow(smooth).save)
+    return files
 
 
 def _photograph(folder: Path, files: Files) -> None:
@@ -303,9 +303,9 @@ def _fingerphotos() -> list[Files]:
     from PIL import Image
 
     row, column = np.mgrid[:260:0.5, :230:0.5]
-    aside = (column - 115) / 60
-    inside = (np.abs(aside) < 1) & ((row > 95) | (aside**2 + ((row - 95) / 60) ** 2 < 1))
-    light = np.sqrt(np.clip(1 - aside**2, 0, 1)) * (1 + 0.12 * np.cos(2 * np.pi * row / 4))
+    offset = (column - 115) / 60
+    inside = (np.abs(offset) < 1) & ((row > 95) | (offset**2 + ((row - 95) / 60) ** 2 < 1))
+    light = np.sqrt(np.clip(1 - offset**2, 0, 1)) * (1 + 0.12 * np.cos(2 * np.pi * row / 4))
     picture = np.where(inside[..., None], light[..., None] * (215, 160, 140), (120, 130, 140))
     noisy = picture + np.random.default_rng(0).normal(0, 2, picture.shape)
     return _written("x.jpg", Image.fromarray(np.clip(np.rint(noisy), 0, 255).astype(np.uint8)).save)
@@ -506,7 +506,7 @@ def _templates() -> list[Files]:
 def _skt_repaired(files: Files) -> Files:
     """Size and hash of the payload that there is."""
 
-    def one(data: bytes) -> bytes:
+    def repaired(data: bytes) -> bytes:
         head = len(encode_template(b"x", VERSION)) - 1
         payload = data[head:]
         return (
@@ -516,9 +516,9 @@ def _skt_repaired(files: Files) -> Files:
             + payload
         )
 
-    assert one(encode_template(b"abc", VERSION)) == encode_template(b"abc", VERSION)
+    assert repaired(encode_template(b"abc", VERSION)) == encode_template(b"abc", VERSION)
     return {
-        name: one(file) if isinstance(file, bytes) and name.endswith(".skt") else file
+        name: repaired(file) if isinstance(file, bytes) and name.endswith(".skt") else file
         for name, file in files.items()
     }
 
@@ -635,7 +635,7 @@ def _keys(folder: Path, files: Files) -> object:
 
 
 # --- galleries
-# ---------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def _new(person: str, seed: int, session: str = "1") -> NewCapture:
@@ -690,8 +690,8 @@ def _exports() -> list[Files]:
 
 
 def _imported(folder: Path, files: Files) -> None:
-    with tempfile.TemporaryDirectory(dir=folder.parent) as other:
-        path = Path(other) / "x.skg"
+    with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
+        path = Path(scratch) / "x.skg"
         try:
             import_gallery(GalleryFile(path), folder)
         except BadInput:
@@ -787,7 +787,9 @@ def _radiometry() -> list[Files]:
     images = [f"{k}.png" for k in range(6)]
     document = {"format": "splitknit-radiometry", "version": 1}
     document |= {
-        "exposures": [{"file": one, "exposure_s": 0.01 * (k + 1)} for k, one in enumerate(images)]
+        "exposures": [
+            {"file": image, "exposure_s": 0.01 * (k + 1)} for k, image in enumerate(images)
+        ]
     }
     pictures: Files = {
         name: encode_image(_noise(5, 6, seed=9), ".png") for name in (*images, "dark.png")
@@ -843,7 +845,7 @@ def _drawn(folder: Path, files: Files) -> object:
 
 
 # --- all of them
-# -------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def put(folder: Path, files: Files) -> None:
@@ -890,17 +892,19 @@ def _print_file(folder: Path, files: Files) -> object:
     path = folder / "x"
 
     def read(ppi: float | None) -> object:
-        for one in read_print_file(path, ppi):
-            if isinstance(one, PrintFile):
-                assert one.image.ndim == 2 and one.image.dtype == np.uint8
-                assert one.resolution_ppi is not None and 200 <= one.resolution_ppi <= 5080
+        for item in read_print_file(path, ppi):
+            if isinstance(item, PrintFile):
+                assert item.image.ndim == 2 and item.image.dtype == np.uint8
+                assert item.resolution_ppi is not None and 200 <= item.resolution_ppi <= 5080
             else:
-                minutiae_of(one)
+                minutiae_of(item)
         return None
 
     def measured() -> object:
         return [
-            _ridge_period_px(one.image) for one in read_prints(path) if isinstance(one, PrintFile)
+            _ridge_period_px(item.image)
+            for item in read_prints(path)
+            if isinstance(item, PrintFile)
         ]
 
     return _any(
@@ -924,11 +928,13 @@ TARGETS = (
     Target("object", _balls, _object),
     Target(
         "rig",
-        lambda: [{"rig.json": one["rig.json"]} for one in _captures()],
+        lambda: [{"rig.json": capture["rig.json"]} for capture in _captures()],
         _of_files("rig.json", read_rig),
     ),
     Target("npz", _results, _of_files("height.npz", read_npz)),
-    Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),
+    Target(
+        "result", lambda: [{**result, "report.json": _REPORT} for result in _results()], _result
+    ),
     Target(
         "print_png",
         _prints,
@@ -937,7 +943,7 @@ TARGETS = (
     Target("print_file", _print_files, _print_file),
     Target(
         "print_folder",
-        lambda: [one | {"minutiae.iso": ISO_BYTES} for one in _prints()[:1]],
+        lambda: [files | {"minutiae.iso": ISO_BYTES} for files in _prints()[:1]],
         _print_folder,
     ),
     Target(

@@ -51,7 +51,7 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
 
 def test_every_verb_that_writes_is_stopped_at_drawn_moments() -> None:
     verbs, words = set(registered(GROUP)), list(VERBS.values())
-    stopped = {verb for verb in verbs if any(one.startswith(f"{verb} ") for one in words)}
+    stopped = {verb for verb in verbs if any(command.startswith(f"{verb} ") for command in words)}
     assert verbs - stopped == set(NOT_STOPPED)
 
 

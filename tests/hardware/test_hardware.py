@@ -208,19 +208,21 @@ def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind: str, tmp_path
         for ref in line[-1].split()[2:]
     }
     if kind == "neighbours":
-        assert [one["gpio"] for one in facts["leds"][14:]] == list(SECOND_PINS)
+        assert [led["gpio"] for led in facts["leds"][14:]] == list(SECOND_PINS)
         # against the pull-up of GPIO 5
         assert refs["R406"] == "4k7 0.25 W" and refs["R405"] == "100k 0.25 W"
     else:
         assert refs == {}
-    blue = next(one for one in facts["safety"] if one["hazard"] == "retina, blue light")
+    blue = next(limit for limit in facts["safety"] if limit["hazard"] == "retina, blue light")
     assert blue["margin"] == pytest.approx(blue["margin_without_films"] / 0.45, rel=0.01)
 
 
 def test_the_second_board_drives_side_lights_as_bright_as_the_ring(tmp_path: Path) -> None:
     facts = write_circuit(tmp_path, read_dimensions(changes={"rig": {"films": "servo", "side": 7}}))
     assert facts["stages"]["side"]["current_ma"][1] == pytest.approx(100 * 0.4026, rel=0.01)
-    blue = {one["leds"]: one for one in facts["safety"] if one["hazard"] == "retina, blue light"}
+    blue = {
+        limit["leds"]: limit for limit in facts["safety"] if limit["hazard"] == "retina, blue light"
+    }
     assert blue["side"]["margin"] > 3 and blue["side"]["margin_without_films"] > 1.5
     # light falls with the squared distance: they give an eye in the finger plane what the ring
     # gives it
@@ -280,9 +282,9 @@ def test_hazards_by_hand() -> None:
     assert blue.value == pytest.approx(100 * 1.03e-3 / 7.854e-3, rel=0.01) and blue.limit == 100.0
     # seven LEDs of each kind, 149.5 mm away
     stages = {band: design_stage(band, circuit()) for band in ("white", "nir")}
-    found, over = safety.rig_hazards(default_rig(), stages), stages["nir"].current_a[2] / 0.1
-    assert named(found, "4.3.7").value == pytest.approx(7 * 0.12 * over / 0.1495202**2, rel=1e-3)
-    assert named(found, "4.3.8").value == pytest.approx(
+    hazards, over = safety.rig_hazards(default_rig(), stages), stages["nir"].current_a[2] / 0.1
+    assert named(hazards, "4.3.7").value == pytest.approx(7 * 0.12 * over / 0.1495202**2, rel=1e-3)
+    assert named(hazards, "4.3.8").value == pytest.approx(
         7 * (0.12 + 10.0 / 313.3) * over / 0.1495202**2, rel=2e-3
     )
     # (9.45 V - 1.4 V) over 27 + 33 ohms less 1 %

@@ -35,9 +35,11 @@ def loop(script):
 def test_a_seed_gives_one_palm(script) -> None:
     palms = script("palms")
     camera = importlib.import_module("splitknit.model").Camera(25.0, (160, 200))
-    first, again, other = (palms.palm_surface(palms.draw_palm(seed), camera) for seed in (0, 0, 1))
+    first, again, different = (
+        palms.palm_surface(palms.draw_palm(seed), camera) for seed in (0, 0, 1)
+    )
     np.testing.assert_array_equal(first.height_mm, again.height_mm)
-    assert not np.array_equal(first.relief_um, other.relief_um)
+    assert not np.array_equal(first.relief_um, different.relief_um)
     assert first.mask.all() and 20 < np.ptp(first.relief_um) < 500
 
 
@@ -62,12 +64,16 @@ def test_direct_is_trained_on_palms_and_fingers(script, loop, tmp_path: Path, mo
     subjects = loop.make_data
 
     def palms_alone(out, wanted, shoot, workers):
-        return subjects(out, [one for one in wanted if one[0] == "palm"], shoot, workers)
+        return subjects(
+            out, [subject for subject in wanted if subject[0] == "palm"], shoot, workers
+        )
 
     monkeypatch.setattr(loop, "make_data", palms_alone)
     separation.train(tmp_path, recipe, "command", held_out=1, threads=1)
-    made = run_network(load_network(tmp_path / "direct.onnx"), np.zeros((1, 3, 40, 48), np.float32))
-    assert made.shape == (1, 3, 40, 48)
+    separated = run_network(
+        load_network(tmp_path / "direct.onnx"), np.zeros((1, 3, 40, 48), np.float32)
+    )
+    assert separated.shape == (1, 3, 40, 48)
     card = json.loads((tmp_path / "direct.json").read_text())
     assert (card["stride"], card["reach"], card["command"]) == (8, 46, "command")
     rows = (tmp_path / "curve.csv").read_text().splitlines()

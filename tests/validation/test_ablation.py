@@ -85,12 +85,12 @@ def test_the_twin_takes_the_networks_place(
         "all but glare": ones * np.linspace(0.2, 1, 7, dtype=np.float32)[:, None, None],
     }
     monkeypatch.setitem(bench.__dict__, "_fractions", fractions)
-    same, other = (
+    direct, matt = (
         bench.reconstructed(rows[name]) for name in ("snk_plain_direct", "snk_plain_matt")
     )
-    np.testing.assert_array_equal(same.height_mm, plain.height_mm)
-    np.testing.assert_array_equal(same.mask, plain.mask)
-    assert not np.allclose(other.ridge_mm[other.mask], plain.ridge_mm[plain.mask], rtol=0.1, atol=0)
+    np.testing.assert_array_equal(direct.height_mm, plain.height_mm)
+    np.testing.assert_array_equal(direct.mask, plain.mask)
+    assert not np.allclose(matt.ridge_mm[matt.mask], plain.ridge_mm[plain.mask], rtol=0.1, atol=0)
 
 
 @pytest.mark.slow

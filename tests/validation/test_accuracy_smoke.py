@@ -50,12 +50,14 @@ def test_one_tiny_finger(tmp_path: Path) -> None:
     measured = {"metric": (0.0993, 0.9602, 1.015, 1.0), "ea": (0.6634, 0.8122, 0.1533, 0.0)}
     for name, preset in population["presets"].items():
         names = ("surface_rms_mm", "ridge_correlation", "ridge_gain")
-        figures = [preset["figures"][one]["mean"] for one in names]
+        figures = [preset["figures"][figure_name]["mean"] for figure_name in names]
         assert figures == pytest.approx(measured[name][:3], rel=0.02)
-        assert [preset["figures"][one]["meets_least"] for one in names] == [measured[name][3]] * 3
+        assert [preset["figures"][figure_name]["meets_least"] for figure_name in names] == [
+            measured[name][3]
+        ] * 3
         assert preset["captures"] == 1 and preset["refused"] == []
-        for one in (*names, "ridge_good_area", "yaw_error_deg"):
-            figure = preset["figures"][one]
+        for figure_name in (*names, "ridge_good_area", "yaw_error_deg"):
+            figure = preset["figures"][figure_name]
             assert np.isfinite(figure["mean"]) and figure["interval"] == [figure["mean"]] * 2
     assert len(population["singles"]) == 1
     (single,) = (tmp_path / "scratch").glob("*/population_0_*.json")

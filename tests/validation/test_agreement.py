@@ -26,11 +26,11 @@ def script() -> Iterator[Script]:
 def test_pairs_are_as_many_and_as_near_as_can_be(script: Script) -> None:
     compare = script("agreement_compare")
     true = np.array([[0.0, 0.0], [4.0, 0.0], [50.0, 0.0]])
-    found = np.array([[3.0, 0.0], [6.0, 0.0], [58.0, 0.0]])
+    detected = np.array([[3.0, 0.0], [6.0, 0.0], [58.0, 0.0]])
     # greedily, 3 would take 4 and leave 6 and 0 alone if the reach were larger; both pairs fit
-    i, j = compare.paired(found, true, 3.5)
+    i, j = compare.paired(detected, true, 3.5)
     assert list(zip(i.tolist(), j.tolist(), strict=True)) == [(0, 0), (1, 1)]
-    assert compare.paired(found[:0], true, 3.5)[0].size == 0
+    assert compare.paired(detected[:0], true, 3.5)[0].size == 0
     np.testing.assert_allclose(
         compare.turned(np.array([0.1, 0.0]), np.array([2 * np.pi - 0.1, np.pi])),
         [11.459, 180],
@@ -50,19 +50,19 @@ def test_a_pair_across_the_border_counts_for_whichever_lies_inside(script: Scrip
             "slant": zeros,
         }
 
-    found, true = (
+    detected, true = (
         [(0.0, 20.0), (31.0, 12.0), (99.0, 50.0)],
         [(1.0, 20.0), (30.0, 14.0), (60.0, 50.0)],
     )
-    record = compare.table(side(found), side(true), 2.0)
-    one = compare.counts(record, 13)
-    assert {k: one[k] for k in ("true", "met", "found", "hit")} == {
+    record = compare.table(side(detected), side(true), 2.0)
+    counted = compare.counts(record, 13)
+    assert {k: counted[k] for k in ("true", "met", "found", "hit")} == {
         "true": 3,
         "met": 2,
         "found": 2,
         "hit": 1,
     }
-    figures = compare.recall_precision([one])
+    figures = compare.recall_precision([counted])
     assert figures["recall"] == pytest.approx(2 / 3) and figures["precision"] == 0.5
     assert compare.counts(record, 13, slant=(10.0, 90.0))["true"] == 0
     assert json.loads(json.dumps(record)) == record
@@ -70,10 +70,10 @@ def test_a_pair_across_the_border_counts_for_whichever_lies_inside(script: Scrip
 
 def test_intervals_hold_the_figure(script: Script) -> None:
     compare = script("agreement_compare")
-    found = compare.by_finger(
+    intervals = compare.by_finger(
         list(np.linspace(0, 1, 40)), lambda some: {"mean": float(np.mean(some))}
     )
-    mean, low, high = found["mean"]
+    mean, low, high = intervals["mean"]
     assert low < mean < high
     # a mean of 40 draws: two standard errors to each side
     assert high - low == pytest.approx(
@@ -90,10 +90,10 @@ def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
     from splitknit_simulator.population.sessions import PopulationSettings, population_capture
 
     settings = PopulationSettings(seed=31, scale=0.3)
-    shown = population_capture(settings, settings.person(1), "left_ring", 2)
+    capture = population_capture(settings, settings.person(1), "left_ring", 2)
     folder = tmp_path / "S01" / "session_2" / "left_ring"
     folder.mkdir(parents=True)
-    write_npz(folder / "truth.npz", shown.truth)
+    write_npz(folder / "truth.npz", capture.truth)
     written = {"settings": {"seed": 31, "scale": 0.3, "rig_seed": 0}}
     (tmp_path / "population.json").write_text(json.dumps(written))
 
@@ -101,18 +101,25 @@ def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
     known = np.isfinite(truth.directions_rad)
     assert len(known) > 30 and known.mean() > 0.9
 
-    mask = np.isfinite(shown.truth["shape_mm"])
+    mask = np.isfinite(capture.truth["shape_mm"])
     rows, columns = mask.shape
     none = np.full(mask.shape, np.nan, dtype=np.float32)
     empty = Source(
-        "result", mask, float(shown.truth["pitch_mm"]), np.eye(3), (rows, columns), none, none, none
+        "result",
+        mask,
+        float(capture.truth["pitch_mm"]),
+        np.eye(3),
+        (rows, columns),
+        none,
+        none,
+        none,
     )
     measure = script("agreement_measure")
     record = measure.prints_of(
         script("agreement_truth").true_source(truth, empty), truth, ("unroll",), quality=False
     )
-    one = script("agreement_compare").counts(record["unroll"]["print"], 13, (0.0, 60.0))
-    figures = script("agreement_compare").recall_precision([one])
+    counted = script("agreement_compare").counts(record["unroll"]["print"], 13, (0.0, 60.0))
+    figures = script("agreement_compare").recall_precision([counted])
     assert figures["recall"] > 0.65 and figures["precision"] > 0.65
     assert figures["direction_median_deg"] < 8 and figures["direction_p90_deg"] < 30
 
@@ -124,8 +131,8 @@ def test_phase_turns_where_a_ridge_ends(script: Script) -> None:
     y, x = np.mgrid[0:180, 0:180].astype(float)
     phase = 2 * np.pi * y / 9 + np.arctan2(-(y - 90), x - 90)
     image = np.round(127.5 + 110 * np.cos(phase)).astype(np.uint8)
-    found = script("agreement_phase").phase_minutiae(image, gabor_enhance(image, 500.0))
-    inner = found.taken((np.abs(found.x_px - 90) < 60) & (np.abs(found.y_px - 90) < 60))
+    minutiae = script("agreement_phase").phase_minutiae(image, gabor_enhance(image, 500.0))
+    inner = minutiae.taken((np.abs(minutiae.x_px - 90) < 60) & (np.abs(minutiae.y_px - 90) < 60))
     assert (
         inner.count == 1 and abs(int(inner.x_px[0]) - 90) <= 3 and abs(int(inner.y_px[0]) - 90) <= 3
     )

@@ -66,9 +66,9 @@ def test_skin_without_blood_keeps_its_ridges_and_loses_its_red(presented):
     inside = truth["mask"]
     assert np.allclose(truth["relief_um"], live["relief_um"], atol=1e-3)
 
-    def red_over_green(one):
-        return np.median(one.bands["white"].pixels[..., 0][:, inside]) / np.median(
-            one.bands["white"].pixels[..., 1][:, inside]
+    def red_over_green(presented_capture):
+        return np.median(presented_capture.bands["white"].pixels[..., 0][:, inside]) / np.median(
+            presented_capture.bands["white"].pixels[..., 1][:, inside]
         )
 
     assert red_over_green(pale) < 0.9 * red_over_green(capture)

@@ -151,6 +151,6 @@ def test_surfaces_against_prints(
         )
         == 0
     )
-    found = json.loads(capsys.readouterr().out)
-    assert (found["genuine"], found["impostors"], found["failures"]) == (3, 6, [])
-    assert (found["eer_percent"][0], found["impostors_accepted"]) == (0, 0)
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["genuine"], facts["impostors"], facts["failures"]) == (3, 6, [])
+    assert (facts["eer_percent"][0], facts["impostors_accepted"]) == (0, 0)

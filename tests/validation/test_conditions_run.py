@@ -15,8 +15,8 @@ from script_folder import VALIDATION, Script, scripts_of
 
 @pytest.fixture(scope="module")
 def script():
-    with scripts_of(VALIDATION / "conditions") as found:
-        yield found
+    with scripts_of(VALIDATION / "conditions") as script:
+        yield script
 
 
 def _row(seed: int, kind: str, severity: float, correlation: float, **more: object) -> dict:
@@ -87,16 +87,16 @@ def test_the_first_figure_to_leave_the_clean_range_is_found(
         "ridge_correlation",
         "print_quality",
     }
-    said = document["said"]["metric"]["wet 1"]
-    assert said["captures"] == 3 and said["refused: no N."] == 1
+    answers = document["said"]["metric"]["wet 1"]
+    assert answers["captures"] == 3 and answers["refused: no N."] == 1
     assert (
-        said[
+        answers[
             "reconstruct: N % of the finger is saturated in image N: shorten the exposure or dry"
             " the finger."
         ]
         == 2
     )
-    assert said["not the same finger at a false match rate of 1e-4"] == 2
+    assert answers["not the same finger at a false match rate of 1e-4"] == 2
     table = list(csv.DictReader((tmp_path / "conditions.csv").read_text().splitlines()))
     assert {row["figure"] for row in table if float(row["beyond"]) > 0} == {
         "ridge_correlation",

@@ -11,8 +11,8 @@ from script_folder import VALIDATION, Script, scripts_of
 
 @pytest.fixture(scope="module")
 def script():
-    with scripts_of(VALIDATION / "motion") as found:
-        yield found
+    with scripts_of(VALIDATION / "motion") as script:
+        yield script
 
 
 def _moved(seed: int, amplitude: float, corrected: float) -> dict:

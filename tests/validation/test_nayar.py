@@ -11,11 +11,11 @@ from script_folder import VALIDATION, scripts_of
 def test_the_checkerboard_comes_closest() -> None:
     with scripts_of(VALIDATION / "separation") as script:
         nayar, patches = script("nayar"), script("patches")
-        one = {
+        finger_patches = {
             name: patch
             for name, patch in patches.draw_patches(True).items()
             if name.startswith("finger")
         }
-        level = {row["way"]: float(row["no noise, dB"]) for row in nayar.compared(one)}
+        level = {row["way"]: float(row["no noise, dB"]) for row in nayar.compared(finger_patches)}
     assert level["checkerboard"] > 45 > level["sinusoid"] > 40
     assert level["line"] < level["single image"] < level["mesh"] < 30

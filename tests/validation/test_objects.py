@@ -13,8 +13,8 @@ from script_folder import VALIDATION, scripts_of
 
 @pytest.fixture(scope="module")
 def objects():
-    with scripts_of(VALIDATION / "accuracy") as found:
-        yield found("objects")
+    with scripts_of(VALIDATION / "accuracy") as script:
+        yield script("objects")
 
 
 @pytest.fixture

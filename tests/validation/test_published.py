@@ -59,19 +59,19 @@ def test_surface_codes(script: Script) -> None:
     index = np.kron(rng.random((40, 30)), np.ones((4, 4)))
     whole = np.ones(index.shape, bool)
     assert codes.code_of(np.array([[0.75, 0.25]]), np.ones((1, 2), bool)) is None
-    one, moved = (codes.code_of(np.roll(index, shift, axis=0), whole) for shift in (0, 12))
-    other = codes.code_of(np.kron(rng.random((40, 30)), np.ones((4, 4))), whole)
-    assert codes.similarity(one, moved) == codes.similarity(moved, one) > 0.9
-    assert codes.similarity(one, other) < 0.7
+    still, moved = (codes.code_of(np.roll(index, shift, axis=0), whole) for shift in (0, 12))
+    different = codes.code_of(np.kron(rng.random((40, 30)), np.ones((4, 4))), whole)
+    assert codes.similarity(still, moved) == codes.similarity(moved, still) > 0.9
+    assert codes.similarity(still, different) < 0.7
 
 
 def test_a_vote(script: Script) -> None:
-    def one(x: int) -> Minutiae:
+    def minutia(x: int) -> Minutiae:
         small = np.array([1], np.uint8)
         return Minutiae(np.array([x]), np.array([20]), np.zeros(1), small, small, (40, 40))
 
-    found = script("voted").vote([one(10), one(12), one(30)])
-    assert (found.x_px.tolist(), found.quality.tolist()) == ([11], [67])
+    voted = script("voted").vote([minutia(10), minutia(12), minutia(30)])
+    assert (voted.x_px.tolist(), voted.quality.tolist()) == ([11], [67])
 
 
 def test_pores_are_found_and_paired(script: Script) -> None:
@@ -82,8 +82,8 @@ def test_pores_are_found_and_paired(script: Script) -> None:
     pit = np.exp(-((np.arange(200) - 100) ** 2 + (np.arange(200)[:, None] - 90) ** 2) / 18).astype(
         np.float32
     )
-    found = pores.find_pores(0.03 * (across - pit), np.ones((200, 200), bool), 0.015)
-    assert found[:, :2].tolist() == [[100.0, 90.0]]
+    pores_px = pores.find_pores(0.03 * (across - pit), np.ones((200, 200), bool), 0.015)
+    assert pores_px[:, :2].tolist() == [[100.0, 90.0]]
 
     def side(places: np.ndarray, down_px: int) -> object:
         """A flat finger with known pores, `down_px` further down."""
@@ -104,14 +104,14 @@ def test_pores_are_found_and_paired(script: Script) -> None:
 
 def test_features_that_the_thesis_dropped(script: Script) -> None:
     rng = np.random.default_rng(0)
-    image, other = (
+    image, different = (
         np.kron(rng.random((20, 20)), np.ones((10, 10))).astype(np.float32) for _ in range(2)
     )
     for extract in script("image_features").FEATURES.values():
-        one, moved, away = (
-            extract(values, 30.0) for values in (image, np.roll(image, 1, axis=1), other)
+        still, moved, away = (
+            extract(values, 30.0) for values in (image, np.roll(image, 1, axis=1), different)
         )
-        assert np.linalg.norm(one - moved) < np.linalg.norm(one - away)
+        assert np.linalg.norm(still - moved) < np.linalg.norm(still - away)
 
 
 def test_knuckles_are_their_owners(script: Script) -> None:

@@ -20,10 +20,11 @@ def test_a_folder_in_a_result_out(tmp_path: Path) -> None:
     write_capture(capture, tmp_path / "capture")
     with scripts_of(VALIDATION / "published") as script:
         assert script("xie").main([str(tmp_path / "capture"), "--out", str(tmp_path / "out")]) == 0
-    found, plain = read_result(tmp_path / "out"), reconstruct(capture, "ea")
-    assert np.array_equal(found.mask, plain.mask)
+    refracted, plain = read_result(tmp_path / "out"), reconstruct(capture, "ea")
+    assert np.array_equal(refracted.mask, plain.mask)
     tilt, flat = (
-        np.degrees(np.arccos(one.normals[..., 2][plain.mask])).mean() for one in (found, plain)
+        np.degrees(np.arccos(result.normals[..., 2][plain.mask])).mean()
+        for result in (refracted, plain)
     )
     assert 0.5 < flat - tilt < 4  # Fresnel's law makes slopes smaller
 

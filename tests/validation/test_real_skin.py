@@ -23,8 +23,8 @@ TABLES = VALIDATION / "real_skin" / "tables"
 
 @pytest.fixture(scope="module")
 def script():
-    with scripts_of(VALIDATION / "real_skin") as found:
-        yield found
+    with scripts_of(VALIDATION / "real_skin") as script:
+        yield script
 
 
 def matt_bump() -> Capture:
@@ -126,9 +126,9 @@ def drifted(capture: Capture, truth: dict[str, Any]) -> Capture:
             shift = np.array(
                 [[1, 0, -x * mean_path_mm[c] * per_mm], [0, 1, y * mean_path_mm[c] * per_mm]]
             )
-            one = np.ascontiguousarray(image[..., c])
+            channel = np.ascontiguousarray(image[..., c])
             image[..., c] = cv2.warpAffine(
-                one, shift, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+                channel, shift, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
             )
     return replace(capture, bands={**capture.bands, "white": replace(band, pixels=moved)})
 
@@ -139,10 +139,10 @@ def test_refracted_light_shades_ridges_less_behind_crossed_polarisers(script: Sc
     settings = script("run").chosen_settings(["metric.rounds=1"])
     surface = reconstruct(capture, settings=settings)
     gains = [
-        script("predict").left_out(one, "white", 2, settings, surface)["channels"]["green"][
-            "model"
-        ]["gain"]
-        for one in (capture, drifted(capture, truth))
+        script("predict").left_out(photographed, "white", 2, settings, surface)["channels"][
+            "green"
+        ]["model"]["gain"]
+        for photographed in (capture, drifted(capture, truth))
     ]
     assert gains[0] > 0.5
     assert gains[1] < 0.5 * gains[0]
@@ -179,6 +179,6 @@ def test_the_stored_table_is_that_of_the_results(script: Script) -> None:
 
 def test_the_optics_pass_or_are_explained(script: Script) -> None:
     optics = script("optics")
-    found = optics.checks()
-    assert all(check.passed or check.why for check in found)
-    assert optics.table(found) == stored("optics.csv"), "run validation/real_skin/optics.py"
+    checks = optics.checks()
+    assert all(check.passed or check.why for check in checks)
+    assert optics.table(checks) == stored("optics.csv"), "run validation/real_skin/optics.py"

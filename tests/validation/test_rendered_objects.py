@@ -12,8 +12,8 @@ from splitknit.photometric.robust import robust
 
 @pytest.fixture(scope="module")
 def rendered():
-    with scripts_of(VALIDATION / "objects") as found:
-        yield found("render").rendered
+    with scripts_of(VALIDATION / "objects") as script:
+        yield script("render").rendered
 
 
 @pytest.mark.parametrize(
@@ -21,9 +21,10 @@ def rendered():
     [(228, "the step where another light ends"), (349, "gloss on the ribs of a vase")],
 )
 def test_a_sound_photograph_is_not_taken_for_blurred(rendered, seed, what):
-    one = rendered(seed)
+    scene = rendered(seed)
     assert (
-        faulty_photographs(one.images.astype(np.float32) / 65535, one.lights, one.mask, 0.985) == ()
+        faulty_photographs(scene.images.astype(np.float32) / 65535, scene.lights, scene.mask, 0.985)
+        == ()
     ), what
 
 
@@ -31,17 +32,17 @@ def test_given_brightness_is_as_good_as_equal_lights(rendered):
     """Bright lights counted more: 0.7 deg above equal ones on this glossy bumpy plate."""
     degrees = []
     for strengths in (0.0, 0.3):
-        one = rendered(206, strengths=strengths)
+        scene = rendered(206, strengths=strengths)
         normals, _ = robust(
-            one.images.astype(np.float32), one.lights * one.intensities[:, None], one.mask
+            scene.images.astype(np.float32), scene.lights * scene.intensities[:, None], scene.mask
         )
-        cosine = np.clip((normals * one.normals).sum(axis=2)[one.mask], -1, 1)
+        cosine = np.clip((normals * scene.normals).sum(axis=2)[scene.mask], -1, 1)
         degrees.append(float(np.degrees(np.arccos(cosine)).mean()))
     assert degrees[1] < degrees[0] + 0.1
 
 
 def test_shadows_are_cast_away_from_the_light(rendered):
-    one = rendered(606)
-    for image, light in zip(one.images, one.lights, strict=True):
-        facing = one.mask & (one.normals @ light > 0.8)
+    scene = rendered(606)
+    for image, light in zip(scene.images, scene.lights, strict=True):
+        facing = scene.mask & (scene.normals @ light > 0.8)
         assert np.mean(image[facing] < 0.1 * np.median(image[facing])) < 0.01

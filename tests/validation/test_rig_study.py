@@ -108,8 +108,8 @@ def test_noise_is_that_of_the_electrons(shot, seen):
     # 6 px/mm
     first, second = (shot(seed, power_w=0.02) for seed in (1, 2))
     a, b = (
-        one.capture.bands["white"].pixels[0, :, :, 1].astype(float) / 65535
-        for one in (first, second)
+        photograph.capture.bands["white"].pixels[0, :, :, 1].astype(float) / 65535
+        for photograph in (first, second)
     )
     where = (a > 0.2) & seen[1]
     electrons = 4700.0 / first.exposures["white"].gain * (75.7 / 6.0) ** 2

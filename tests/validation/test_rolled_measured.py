@@ -49,7 +49,7 @@ def test_every_point_is_held_against_the_pixel_it_came_from(scene, monkeypatch) 
     with scripts_of(FOLDER) as script:
         measured = script("rolled_measure")
         front = measured.front_alone(rolled)
-        found = measured.against_truth(rolled, front, truth)
+        figures = measured.against_truth(rolled, front, truth)
         wrong = measured.against_truth(
             rolled, front, {**truth, "view_right_relief_um": -truth["view_right_relief_um"]}
         )
@@ -60,11 +60,11 @@ def test_every_point_is_held_against_the_pixel_it_came_from(scene, monkeypatch) 
     assert apart < 250  # not half a ridge
     assert moved == pytest.approx(500, abs=apart)
     assert front.blended.known.sum() < 0.85 * rolled.blended.known.sum()
-    assert found["rolled"]["0-30"] > 0.9
-    assert found["rolled"]["60-90"] > 0.8
-    assert found["seams"]["right"]["faded_um"] < 10
+    assert figures["rolled"]["0-30"] > 0.9
+    assert figures["rolled"]["60-90"] > 0.8
+    assert figures["seams"]["right"]["faded_um"] < 10
     assert wrong["rolled"]["60-90"] < 0.5  # the mirror's truth counts there
-    assert wrong["front"] == found["front"]
+    assert wrong["front"] == figures["front"]
 
 
 def test_a_table_of_captures() -> None:

@@ -110,8 +110,8 @@ def test_two_cameras_find_a_hill_with_texture() -> None:
     )
     texture = (texture - texture.min()) / np.ptp(texture)
     pictures = []
-    for one in views:
-        places = hill(one, shape)
+    for camera in views:
+        places = hill(camera, shape)
         u, v = (300 + 50 * places[..., k].astype(np.float32) for k in (0, 1))
         pictures.append(cv2.remap(texture, u, v, cv2.INTER_LINEAR) + 0.1)
     points = stereo.scan(pictures, views, np.zeros(3), 2.0)
@@ -125,8 +125,8 @@ def test_silhouettes_of_a_cylinder_enclose_it() -> None:
     shape, radius = (100, 200), 5.0
     views = [view(deg, 1, 1000.0, shape) for deg in range(-75, 90, 30)]
     masks = []
-    for one in views:
-        ray, centre = one.directions(shape)[..., [0, 2]], one.centre_mm[[0, 2]] + [0, 5.0]
+    for camera in views:
+        ray, centre = camera.directions(shape)[..., [0, 2]], camera.centre_mm[[0, 2]] + [0, 5.0]
         ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
         masks.append(np.abs(ray[..., 0] * centre[1] - ray[..., 1] * centre[0]) < radius)
     points = stereo.hull(masks, views, np.array([[-6.0, -3.0, -6.0], [6.0, 3.0, 2.0]]), 0.2)

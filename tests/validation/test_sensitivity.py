@@ -12,8 +12,8 @@ from splitknit.finger import parameters, regions, ridges
 
 @pytest.fixture(scope="module")
 def script():
-    with scripts_of(VALIDATION / "parameters") as found:
-        yield found
+    with scripts_of(VALIDATION / "parameters") as script:
+        yield script
 
 
 def _rows(**results: str) -> dict[float, dict[str, str]]:

@@ -63,11 +63,11 @@ class MadeUpStore:
         genuine = np.array([a.split("/")[::2] == b.split("/")[::2] for a, b in pairs])
         generator = np.random.default_rng([len(case), len(matcher)])
         good = generator.normal(size=(4, len(pairs))) + (1.0 if case == "ea" else 2.5) * genuine
-        made = np.array([names[0] not in pair for pair in pairs])
+        compared = np.array([names[0] not in pair for pair in pairs])
         table = {
             "a": [a for a, _ in pairs],
             "b": [b for _, b in pairs],
-            "compared": made,
+            "compared": compared,
             "similarity": good[3],
         }
         if matcher == "thesis":
@@ -112,7 +112,7 @@ def test_all_parts_on_a_made_up_store(
     out = tmp_path / "out"
     parts = ("fusion", "cases", "matchers", "sensitivity", "failures")
     for part in parts:
-        given = [
+        command = [
             part,
             "--population",
             str(people),
@@ -123,10 +123,10 @@ def test_all_parts_on_a_made_up_store(
             "--jobs",
             "1",
         ]
-        assert run.main([*given, "--cases", "snk", "pr", "ea", "none"]) == 0
+        assert run.main([*command, "--cases", "snk", "pr", "ea", "none"]) == 0
     monkeypatch.setattr(run, "PARTS", parts)
     monkeypatch.setattr(run, "run_part", lambda *_: pytest.fail("a finished part is made again"))
-    given = [
+    command = [
         "all",
         "--population",
         str(people),
@@ -137,10 +137,10 @@ def test_all_parts_on_a_made_up_store(
         "--jobs",
         "1",
     ]
-    assert run.main([*given, "--cases", "snk", "pr", "ea", "none"]) == 0
+    assert run.main([*command, "--cases", "snk", "pr", "ea", "none"]) == 0
     (out / "failures.csv").unlink()
     with pytest.raises(pytest.fail.Exception, match="made again"):
-        run.main([*given, "--cases", "snk", "pr", "ea", "none"])
+        run.main([*command, "--cases", "snk", "pr", "ea", "none"])
     rows = read(out / "cases.csv")
     real = [
         row
@@ -282,15 +282,15 @@ def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
 
     scales = thesis("scales")
     capture, _ = simulate_capture(5, None, TwinSettings(scale=0.1))
-    made = scales.snk_images(capture)
-    assert len(made.channels) == 10
+    scaled = scales.snk_images(capture)
+    assert len(scaled.channels) == 10
     images = surface_images(surface_of(reconstruct(capture, "snk", {"shapelets.scales": 5})))
-    np.testing.assert_array_equal(made.channels["snk5"], images.channels["relief"])
-    np.testing.assert_array_equal(made.channels["snk3"], made.channels["relief"])
+    np.testing.assert_array_equal(scaled.channels["snk5"], images.channels["relief"])
+    np.testing.assert_array_equal(scaled.channels["snk3"], scaled.channels["relief"])
     images = surface_images(surface_of(reconstruct(capture, "snk")))
-    np.testing.assert_array_equal(made.channels["normal_x"], images.channels["normal_x"])
-    np.testing.assert_array_equal(made.mask, images.mask)
-    assert not np.array_equal(made.channels["snk2"], made.channels["snk5"])
+    np.testing.assert_array_equal(scaled.channels["normal_x"], images.channels["normal_x"])
+    np.testing.assert_array_equal(scaled.mask, images.mask)
+    assert not np.array_equal(scaled.channels["snk2"], scaled.channels["snk5"])
 
 
 def test_the_share_of_impostors_is_drawn_by_pair_of_fingers(thesis: Script) -> None:
@@ -380,10 +380,10 @@ def test_other_descriptors_are_compared_by_the_same_rule(
         compared.Way(name, extract, "normals", ("normal_x", "normal_y", "normal_z"))
         for name, extract in descriptors.DESCRIPTORS.items()
     ]
-    found = compared.compare_pairs(pairs, handmade_reader, ways, tmp_path, 1)
-    assert [trial.case for trial in found] == ["lbp", "hog", "gabor", "shape context"]
+    trials = compared.compare_pairs(pairs, handmade_reader, ways, tmp_path, 1)
+    assert [trial.case for trial in trials] == ["lbp", "hog", "gabor", "shape context"]
     failed = (captures.subject[pairs.a] == "S04") | (captures.subject[pairs.b] == "S04")
-    for trial in found:
+    for trial in trials:
         np.testing.assert_array_equal(np.isnan(trial.similarity), failed)
         known = trial.similarity[~failed]
         assert known[pairs.genuine[~failed]].min() > known[~pairs.genuine[~failed]].max(), (
@@ -393,7 +393,7 @@ def test_other_descriptors_are_compared_by_the_same_rule(
     again = compared.compare_pairs(
         pairs, lambda _: pytest.fail("compared again"), ways, tmp_path, 1
     )
-    np.testing.assert_array_equal(again[2].similarity, found[2].similarity)
+    np.testing.assert_array_equal(again[2].similarity, trials[2].similarity)
 
 
 def test_what_fails_the_gate_need_not_be_compared(tmp_path: Path, thesis: Script) -> None:

@@ -72,21 +72,21 @@ def test_a_tree_becomes_a_population(people, tree, tmp_path, capsys):
     words = [str(tree), "--images", PATTERN, "--nir", NIR, "--lights", str(rig), "--out", str(out)]
     capsys.readouterr()
     assert people.main([*words, "--dry-run"]) == 0
-    said = capsys.readouterr().out
-    assert not out.exists() and "7 complete captures, 7 would be written" in said
-    assert f"S01/session_1/right_index: {tree}/P1/day1/Right Index/white_{{light}}.png" in said
+    output = capsys.readouterr().out
+    assert not out.exists() and "7 complete captures, 7 would be written" in output
+    assert f"S01/session_1/right_index: {tree}/P1/day1/Right Index/white_{{light}}.png" in output
     for fault in (
         "S02, session 2, left thumb (P2 2 left_thumb)",
         "lacks NIR 3",
         "second file for a white light, P2/day2/left_thumb/white_4.png",
         "1 files fit no pattern: notes.txt",
     ):
-        assert fault in said
+        assert fault in output
     damaged = tree / "P1" / "day1" / "left_thumb" / "ir_2.png"
     damaged.write_bytes(damaged.read_bytes()[:200])
     assert people.main(words) == 0
-    said = capsys.readouterr().out
-    assert "6 written" in said and "S01, session 1, left thumb: " in said
+    output = capsys.readouterr().out
+    assert "6 written" in output and "S01, session 1, left thumb: " in output
     population = read_population(out)
     assert population.planned == 8 and len(population.captures) == 6
     capture = read_capture(out / "S02/session_1/left_thumb")

@@ -47,7 +47,7 @@ def patch(height_mm: np.ndarray, pitch_mm: float = 0.05) -> SimulatedSurface:
     rows, columns = np.gradient(height_mm, pitch_mm)
     normals = np.stack([-columns, rows, np.ones_like(rows)], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    up, one = (
+    up, ones = (
         np.zeros((*height_mm.shape, 3), dtype=np.float32),
         np.ones(height_mm.shape, dtype=np.float32),
     )
@@ -55,7 +55,7 @@ def patch(height_mm: np.ndarray, pitch_mm: float = 0.05) -> SimulatedSurface:
     height = height_mm.astype(np.float32)
     camera = Camera(1.0 / pitch_mm, height_mm.shape)
     return SimulatedSurface(
-        camera, height, 0 * one, normals.astype(np.float32), up, 1e3 * height, one > 0, one
+        camera, height, 0 * ones, normals.astype(np.float32), up, 1e3 * height, ones > 0, ones
     )
 
 
@@ -105,7 +105,7 @@ def test_light_scattered_once_is_that_of_a_half_space_that_scatters_once():
     solid, even = finger.solid_of(FLAT, LEDS), np.ones((24, 24), dtype=np.float32)
     optics = medium(scattering, absorption, spread=0.0)
     optics[5] = 0.0  # no micro-facets
-    found = finger.walk_solid(
+    walked = finger.walk_solid(
         solid, FLAT, even, optics, walks=1.0, rays=200, threads=1, seed=[1], entering=6
     )
     # Chandrasekhar 1960, Radiative Transfer, section 47
@@ -118,8 +118,8 @@ def test_light_scattered_once_is_that_of_a_half_space_that_scatters_once():
         / REFRACTIVE_INDEX**2
         / (inside + 1)
     )
-    np.testing.assert_allclose(found.once.mean(axis=(1, 2), dtype=np.float64), once, rtol=0.03)
-    assert (found.once <= found.radiance).all()
+    np.testing.assert_allclose(walked.once.mean(axis=(1, 2), dtype=np.float64), once, rtol=0.03)
+    assert (walked.once <= walked.radiance).all()
 
 
 @needs_numba
@@ -129,7 +129,7 @@ def test_films_part_a_finger_into_a_parallel_and_a_crossed_series():
     optics = FingerOptics(spread=0.0, shot_noise=0.0, roughness=0.3)
     rig = Rig(ridges.camera, leds)
     light = finger.walk_finger(ridges, rig, optics, walks=2.0, rays=2, threads=1)
-    found = {}
+    series = {}
     for kept in (0.0, 0.4):
         films = FilmSettings("analyser", extinction=1e6, kept=kept, transmission=(1.0, 1.0, 0.9))
         capture, _, info = photograph_finger(ridges, rig, optics, light=light, films=films)
@@ -138,13 +138,14 @@ def test_films_part_a_finger_into_a_parallel_and_a_crossed_series():
             capture.bands[name].pixels.astype(float) for name in ("white", "white_crossed")
         )
         assert info["films"]["kept"] == kept
-        found[kept] = parallel - crossed, parallel + crossed
+        series[kept] = parallel - crossed, parallel + crossed
     # without it the difference is white but for the tint; with it, the skin's colour is in it as
     # well
-    shine = found[0.0][0].mean(axis=(0, 1, 2))
+    shine = series[0.0][0].mean(axis=(0, 1, 2))
     assert shine / shine[0] == pytest.approx([1.0, 1.0, 0.81], rel=0.01)
     assert (
-        found[0.4][0].sum() / found[0.4][1].sum() > 1.05 * found[0.0][0].sum() / found[0.0][1].sum()
+        series[0.4][0].sum() / series[0.4][1].sum()
+        > 1.05 * series[0.0][0].sum() / series[0.0][1].sum()
     )
 
 
@@ -157,11 +158,11 @@ def test_regression_takes_noise_away_and_keeps_what_the_relief_explains():
     # common to all lights
     noisy = clean * (1.0 + 0.04 * rng.standard_normal((1, 60, 80, 1))).astype(np.float32)
     light = finger.FingerLight({"white": noisy}, {"white": noisy}, {})
-    found = finger.without_walk_noise(light, ridges).diffuse["white"]
+    smoothed = finger.without_walk_noise(light, ridges).diffuse["white"]
     kept = finger.without_walk_noise(replace(light, diffuse={"white": clean}), ridges).diffuse[
         "white"
     ]
-    assert np.std(found / clean) < 0.25 * np.std(noisy / clean)
+    assert np.std(smoothed / clean) < 0.25 * np.std(noisy / clean)
     np.testing.assert_allclose(kept, clean, rtol=2e-3)
 
 
@@ -212,10 +213,10 @@ def test_a_steep_side_is_lit_as_walks_in_an_elliptic_cylinder_say():
         .radiance[0]
         .mean(axis=0)
     )
-    found = np.interp([0.0, 5.55, -7.4], x, light)
-    np.testing.assert_allclose(found[:2], [0.05918, 0.06218], rtol=0.03)
+    sampled = np.interp([0.0, 5.55, -7.4], x, light)
+    np.testing.assert_allclose(sampled[:2], [0.05918, 0.06218], rtol=0.03)
     # a twelfth of the light, on pixels of 0.1 mm
-    np.testing.assert_allclose(found[2], 0.00491, rtol=0.08)
+    np.testing.assert_allclose(sampled[2], 0.00491, rtol=0.08)
 
 
 @needs_numba

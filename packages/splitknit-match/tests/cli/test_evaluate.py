@@ -120,7 +120,7 @@ def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: C
     assert facts["eer"]["value"] == roc(*sides).equal_error().value
     assert facts["gar_at_far"]["0.01"]["value"] == roc(*sides).at_far(0.01).gar
     one = facts["systems"]["ours"]
-    made = roc(*sides).made().at_far(0.01)
+    made = roc(*sides).scored().at_far(0.01)
     assert one["fnmr_at_fmr"]["0.01"]["value"] == pytest.approx(1 - made.gar)
     lost = [int(np.isnan(side).sum()) for side in sides]
     failures = one["failures_to_acquire"]

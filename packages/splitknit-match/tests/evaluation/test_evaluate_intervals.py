@@ -36,8 +36,8 @@ sides = st.tuples(scores_1d, scores_1d).filter(
 
 def figures(curve: Roc) -> list[float]:
     """Rates, failures counted and left out."""
-    eers = [part.equal_error().value for part in (curve, curve.made())]
-    gars = [part.gars((0.5, 0.1, 0.01)) for part in (curve, curve.made())]
+    eers = [part.equal_error().value for part in (curve, curve.scored())]
+    gars = [part.gars((0.5, 0.1, 0.01)) for part in (curve, curve.scored())]
     return [*eers, *gars[0], *gars[1], curve.auc()]
 
 

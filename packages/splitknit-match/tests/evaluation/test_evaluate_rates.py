@@ -113,7 +113,7 @@ def test_rates_are_those_of_their_definition(sides: Sides) -> None:
 @given(missing)
 def test_failures_are_rejections_or_left_out(sides: Sides) -> None:
     compared = [[s for s in side if not np.isnan(s)] for side in sides]
-    every, left_out, alone = roc(*sides), roc(*sides).made(), roc(*compared)
+    every, left_out, alone = roc(*sides), roc(*sides).scored(), roc(*compared)
     assert every.equal_error().value == reference.equal_error(*sides)
     assert left_out.equal_error() == alone.equal_error()
     for target in (0.1, 0.3, 0.5):

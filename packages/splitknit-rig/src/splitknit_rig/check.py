@@ -139,9 +139,9 @@ def check_rig(
     )
     from splitknit_rig.capture.openers import opener_of
 
-    given = {"card": card, "ball": ball, "finger": finger}
+    photographs = {"card": card, "ball": ball, "finger": finger}
     if device is not None:
-        refuse_given("does not go with `device`, which photographs it.", **given)
+        refuse_given("does not go with `device`, which photographs it.", **photographs)
     else:
         whole = card is not None and ball is not None and len(finger) == 2
         require(

@@ -209,8 +209,9 @@ def _band(
     exposures: Sequence[float],
     **more: Any,
 ) -> Band:
+    stack: Any = np.stack(images)
     groups, black = tuple((led,) for led in leds), np.zeros(len(images))
-    return Band(name, np.stack(images), groups, np.array(exposures), black, **more)  # type: ignore[arg-type]
+    return Band(name, stack, groups, np.array(exposures), black, **more)
 
 
 def _one(

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 
-class BadInput(ValueError):  # noqa: N818 - a user reads it as a statement about the input, not about our code
+class BadInput(ValueError):  # noqa: N818 - states a fault of the input, not of the program
     """The input cannot be used; the message names the part, and the remedy.
 
     A message quotes what files hold: characters that end a line or cannot be printed become escapes
@@ -46,7 +46,8 @@ def printable(text: str) -> str:
 class Refused(BadInput):
     """The input was understood and is not good enough; `facts` hold what was found all the same."""
 
-    def __init__(self, message: str, facts: dict[str, Any]) -> None:  # noqa: D107 - the class says it
+    def __init__(self, message: str, facts: dict[str, Any]) -> None:
+        """Take over the message and the facts."""
         super().__init__(message)
         self.facts = facts
 

@@ -25,7 +25,7 @@ def door(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of the `package` whose ``__init__.py`` is
     `file`."""
-    with open(f"{file}i", encoding="utf-8") as stream:  # noqa: PTH123 - pathlib takes longer than the rest
+    with open(f"{file}i", encoding="utf-8") as stream:  # noqa: PTH123 - pathlib is slower to import
         text = stream.read()
     homes = {door: (module, name) for module, name, door in _LINE.findall(text)}
     names = _NAME.findall(text.partition("__all__ = ")[2])

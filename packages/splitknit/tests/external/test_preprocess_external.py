@@ -39,7 +39,7 @@ def test_a_given_mask_passes_all_steps_of_preprocessing(phalange):
     upright = find_upright(known_mask)
     assert abs(upright.yaw_rad) < np.deg2rad(8)
     crease = find_crease(stack.mean(axis=0), known_mask, upright, 37.0)
-    assert not crease.found
+    assert not crease.detected
     assert phalange_mask(known_mask, crease, upright) is known_mask
     refined = photometric_mask(stack, known_mask, 37.0)
     assert refined.sum() > 0.95 * known_mask.sum()

@@ -16,7 +16,7 @@ def search(scene, **way):
 @pytest.mark.parametrize("shadow", ["", "step", "side"])
 def test_a_crease_is_found_for_every_tone_and_in_shadow(draw_finger, tone, shadow):
     _, crease = search(draw_finger(tone, shadow=shadow))
-    assert crease.found
+    assert crease.detected
     assert crease.distance_mm == pytest.approx(25.0, abs=0.5)
     assert "cut at" in str(crease.verdict)
 
@@ -25,7 +25,7 @@ def test_a_crease_is_found_for_every_tone_and_in_shadow(draw_finger, tone, shado
 def test_the_crease_of_the_thesis_fails_in_a_shadow_at_the_side_only(draw_finger, tone):
     _, crease = search(draw_finger(tone, shadow="step"), equalised=True)
     assert crease.distance_mm == pytest.approx(25.0, abs=0.5)
-    assert not search(draw_finger(tone, shadow="side"), equalised=True)[1].found
+    assert not search(draw_finger(tone, shadow="side"), equalised=True)[1].detected
 
 
 @pytest.mark.parametrize("shadow", ["", "step", "gradient", "side"])
@@ -33,7 +33,7 @@ def test_the_crease_of_the_thesis_fails_in_a_shadow_at_the_side_only(draw_finger
 def test_a_finger_without_a_crease_is_not_cut(draw_finger, shadow, seed):
     scene = draw_finger("medium", creases=(), shadow=shadow, seed=seed, yaw_deg=5.0 * seed)
     upright, crease = search(scene)
-    assert not crease.found
+    assert not crease.detected
     assert crease.line is None
     assert "no flexion crease" in str(crease.verdict)
     np.testing.assert_array_equal(phalange_mask(scene.mask, crease, upright), scene.mask)
@@ -89,7 +89,7 @@ def test_of_two_creases_the_first_clear_one_is_taken(draw_finger):
 
 def test_a_line_too_near_the_tip_is_no_first_crease(draw_finger):
     _, crease = search(draw_finger("medium", creases=((10.0, 0.2),)))
-    assert not crease.found
+    assert not crease.detected
     assert "none where the first flexion crease" in str(crease.verdict)
 
 
@@ -100,4 +100,4 @@ def test_half_a_line_is_no_crease(draw_finger):
     row = int(scene.tip[1] + 25 * scene.px_per_mm)
     stack[:, row - 6 : row + 6, :middle] *= 0.8
     upright = find_upright(scene.mask)
-    assert not find_crease(stack.mean(axis=0), scene.mask, upright, scene.px_per_mm).found
+    assert not find_crease(stack.mean(axis=0), scene.mask, upright, scene.px_per_mm).detected

@@ -76,14 +76,14 @@ def enroll_population(
         jobs = run_jobs(
             partial(_template_of, settings=settings), waiting, workers, "what is enrolled"
         )
-        for done, (place, made) in enumerate(jobs, start=1):
-            if isinstance(made, str):
-                unread.append({"path": str(place.path), "reason": made})
+        for done, (place, row) in enumerate(jobs, start=1):
+            if isinstance(row, str):
+                unread.append({"path": str(place.path), "reason": row})
             else:
-                new = new_capture(made, place.person, place.finger, place.session, settings)
+                new = new_capture(row, place.person, place.finger, place.session, settings)
                 enrolled += sum(target.add([new], sha256, replaces=settings.replace))
-                if not made.template:
-                    failures.append({"path": str(place.path), "reason": made.failure})
+                if not row.template:
+                    failures.append({"path": str(place.path), "reason": row.failure})
             progress(f"{place.person} {place.finger}", done / len(waiting))
         there = target.there
         facts: dict[str, Any] = asdict(content_of(target, created=created)) if there else {}
@@ -112,29 +112,30 @@ def _found_in(folder: Path) -> list[_Source]:
         folder.is_dir(),
         f"there is no folder '{folder}'; name an enrolment or a simulated population.",
     )
-    found: dict[tuple[str, str, str], _Source] = {}
+    sources: dict[tuple[str, str, str], _Source] = {}
     for path in folder.glob(f"*/{_SESSION}*/*"):
         is_file = path.is_file() and path.stem in FINGERS
         if not (is_file or (path / "capture.json").is_file() or (path / "height.npz").is_file()):
             continue
         session = check_session(path.parent.name.removeprefix(_SESSION))
-        one = _Source(
+        source = _Source(
             path.parent.parent.name,
             known_finger(path.stem if is_file else path.name),
             session,
             path,
         )
-        other = found.setdefault((one.person, one.session, one.finger), one)
+        first = sources.setdefault((source.person, source.session, source.finger), source)
         require(
-            other is one,
-            f"'{other.path}' and '{path}' are of one finger and session; remove one of them.",
+            first is source,
+            f"'{first.path}' and '{path}' are of one finger and session; remove one of them.",
         )
     expected = (
         "captures in S01/session_1/right_index (or prints, right_index.png) and so on are expected"
     )
-    require(found, f"'{folder}' holds nothing to enrol: {expected}.")
+    require(sources, f"'{folder}' holds nothing to enrol: {expected}.")
     return sorted(
-        found.values(), key=lambda one: (one.person, session_order(one.session), one.finger)
+        sources.values(),
+        key=lambda source: (source.person, session_order(source.session), source.finger),
     )
 
 
@@ -142,7 +143,7 @@ def _waiting(
     entries: Sequence[Entry], places: Sequence[_Source], *, replace: bool
 ) -> list[_Source]:
     """What is not in the gallery; of what is, the files are compared by their hash."""
-    earlier = {one.names: one.source_sha256 for one in entries}
+    earlier = {entry.names: entry.source_sha256 for entry in entries}
     waiting = []
     for place in places:
         known = earlier.get((place.person, place.finger, place.session))

@@ -52,12 +52,12 @@ def reconstruct_objects(
         capture = source if (source / "capture.json").is_file() else None
         own = replace(photographs, images=None if capture else source)
         try:
-            made = reconstruct_to_folder(capture, out=target, device=device, photographs=own)
+            report = reconstruct_to_folder(capture, out=target, device=device, photographs=own)
         except BadInput as error:
             facts["failures"][source.name] = str(error)
             continue
-        findings = [finding["message"] for finding in made.facts["findings"]]
-        facts["objects"][source.name] = {"result": made.facts["result"], "findings": findings}
+        findings = [finding["message"] for finding in report.facts["findings"]]
+        facts["objects"][source.name] = {"result": report.facts["result"], "findings": findings}
     if failures := facts["failures"]:
         first = next(iter(failures.values()))
         raise Refused(

@@ -68,8 +68,8 @@ def run_tasks(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> Iter
     threads, before = cv2.getNumThreads(), running()
     try:
         here = before.threads if jobs < 2 else 1
-        one = partial(_in_worker, work, workers.device, here)
-        for _, done in run_jobs(one, tasks, jobs, "what is finished"):
+        job = partial(_in_worker, work, workers.device, here)
+        for _, done in run_jobs(job, tasks, jobs, "what is finished"):
             yield done
     finally:
         cv2.setNumThreads(threads)
@@ -167,11 +167,11 @@ def _on_cluster(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> It
     """
     distributed: Any = importlib.import_module("distributed")
     client = workers.client
-    one = partial(_in_cluster_worker, work, workers.device, str(provenance()["version"]))
+    job = partial(_in_cluster_worker, work, workers.device, str(provenance()["version"]))
     waiting = iter(tasks)
 
     def submitted(count: int) -> list[Any]:
-        return [client.submit(one, task, pure=False) for task in islice(waiting, count)]
+        return [client.submit(job, task, pure=False) for task in islice(waiting, count)]
 
     threads = max(sum(client.nthreads().values()), 1)
     futures = distributed.as_completed(submitted(AHEAD * threads), loop=client.loop)

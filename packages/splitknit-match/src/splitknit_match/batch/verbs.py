@@ -106,17 +106,17 @@ def batch(
 
     require(photographs.images is None, f"`images` is '{population}' itself; leave it out.")
     if objects := objects_in(Path(population)):
-        given = None if matchers == "ridge" else matchers
+        not_default = None if matchers == "ridge" else matchers
         refuse_given(
             "is for fingers; leave it out for objects.",
             cases=cases,
             case=tuple(case),
-            matchers=given,
+            matchers=not_default,
             scheduler=scheduler,
         )
         facts = reconstruct_objects(objects, Path(out), photographs, device, progress)
-        made = f"{count(len(facts['objects']), 'object')} reconstructed now"
-        return Report(facts, (f"{made}, {facts['found']} were there, in {out}.",))
+        new = f"{count(len(facts['objects']), 'object')} reconstructed now"
+        return Report(facts, (f"{new}, {facts['found']} were there, in {out}.",))
     photographs.refuse_without_images()
     own = tuple(_case(text) for text in case)
     if cases is not None:
@@ -261,7 +261,7 @@ def enroll(
     if population is None:
         require(workers is None, "`workers` is for `population`.")
         require(
-            len(sources) == 1 or not how.where.given,
+            len(sources) == 1 or not how.where.chosen,
             "`mask` and `box` are for one photograph; name one source.",
         )
         if person is None or finger is None:
@@ -300,10 +300,10 @@ def enroll(
     holds = (
         f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}"
     )
-    found = worst_first([*findings, *unknown, *readable_gallery(gallery, key_file)])
-    lines += [f"Please note: {finding}" for finding in found]
+    findings = worst_first([*findings, *unknown, *readable_gallery(gallery, key_file)])
+    lines += [f"Please note: {finding}" for finding in findings]
     lines.append(f"{facts['gallery']} holds {holds}{locked}.")
-    facts["findings"] = [finding.facts for finding in found]
+    facts["findings"] = [finding.facts for finding in findings]
     if presentation is not None:
         facts = {**facts, "presentation": presentation}
     return Report(facts, tuple(lines))

@@ -133,7 +133,7 @@ def figure_names(targets: Sequence[float]) -> list[str]:
 
 def _figures(curve: Roc, targets: Sequence[float], fars: Values) -> list[float]:
     """Figures of a ROC, and its GAR at some FARs; NaN where a class is missing."""
-    known = curve.made()
+    known = curve.scored()
     if min(known.tried) <= 0:
         return [float("nan")] * (2 * len(targets) + len(fars) + 3)
     rates = [curve.equal_error().value, *curve.gars(targets), *known.gars(targets)]
@@ -239,7 +239,7 @@ def _bounds(
     every = np.ones(genuine.size, dtype=bool)
     equal = curve.equal_error()
     limits = {"eer": (equal.value, upper(equal.value, ~_accepted(genuine, equal.threshold), every))}
-    for part, tried, ending in ((curve, every, ""), (curve.made(), ~np.isnan(genuine), "_made")):
+    for part, tried, ending in ((curve, every, ""), (curve.scored(), ~np.isnan(genuine), "_made")):
         for target in targets:
             point = part.at_far(target)
             accepted = _accepted(genuine, point.threshold)

@@ -6,9 +6,9 @@ comparison counts as often as its weight says: once in the figures, as often as 
 replicate of the bootstrap.
 
 NaN stands for a comparison that gave no score, a *failure to acquire*. It is a rejection, as a user
-at the door sees it (FAR and FRR = 1 - GAR, over all attempts), or is left out by :meth:`Roc.made`,
-which judges the matcher alone (FMR and FNMR of ISO/IEC 19795-1). With the fraction f of failures on
-a side, FAR = FMR (1 - f) and FRR = f + FNMR (1 - f).
+at the door sees it (FAR and FRR = 1 - GAR, over all attempts). :meth:`Roc.scored` leaves it out and
+judges the matcher alone (FMR and FNMR of ISO/IEC 19795-1). With the fraction f of failures on a
+side, FAR = FMR (1 - f) and FRR = f + FNMR (1 - f).
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Roc:
         """(K,) false accept rate."""
         return np.asarray(self.accepted(1) / self.tried[1])
 
-    def made(self) -> Roc:
+    def scored(self) -> Roc:
         """Rates of the comparisons that gave a score: 1 - FNMR over FMR."""
         return replace(self, tried=(float(self.accepted(0, -1)), float(self.accepted(1, -1))))
 
@@ -178,7 +178,7 @@ class Roc:
         at, before = self.ranked.corners, self.ranked.corners - 1
         more = self.accepted(0, at) - self.accepted(0, before)
         above = self.accepted(1, at) + self.accepted(1, before)
-        genuine, impostor = self.made().tried
+        genuine, impostor = self.scored().tried
         return float(np.sum(more * (2 * impostor - above)) / (2 * genuine * impostor))
 
     def d_prime(self) -> float:

@@ -129,10 +129,11 @@ def check_person(text: str) -> str:
     """Return `text` in one normal form (NFC) if it can be a person's name. Raises BadInput."""
     name = unicodedata.normalize("NFC", text).strip()
     sound = 0 < len(name) <= MAX_NAME and name.isprintable()
-    shown = text.encode("unicode_escape").decode("ascii")[:60]
+    escaped = text.encode("unicode_escape").decode("ascii")[:60]
     require(
         sound,
-        f"'{shown}' cannot be a person's name: 1 to {MAX_NAME} printable characters are expected.",
+        f"'{escaped}' cannot be a person's name: 1 to {MAX_NAME} printable characters are"
+        " expected.",
     )
     return name
 

@@ -207,8 +207,8 @@ class Gallery(GalleryFile):
             f"`duplicates` is refuse, warn or allow, not '{duplicates}'.",
         )
         how = how or Enrolling()
-        given: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
-        sources = [held(source, resolution_ppi) for source in given]
+        several: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
+        sources = [held(source, resolution_ppi) for source in several]
         kinds = "a capture, a result, a template (.skt), a print or a record of minutiae"
         require(sources, f"name {kinds} to enrol.")
         single = len(sources) == 1 or session is None
@@ -220,27 +220,27 @@ class Gallery(GalleryFile):
         settings_sha256 = settings_of(
             self, how, of_minutiae=any(is_of_minutiae(source) for source in sources)
         )
-        made = []
+        rows = []
         for number, source in enumerate(sources):
 
             def part(stage: str, fraction: float, number: int = number) -> None:
                 progress(stage, (number + 0.9 * fraction) / len(sources))
 
-            one = made_of(source, how, settings_sha256 == MINUTIAE_HASH, part)
+            row = made_of(source, how, settings_sha256 == MINUTIAE_HASH, part)
             name = f"'{source}'" if isinstance(source, Path) else "what was given"
             fault = (
-                f"{name} holds {one.failure} (failure to acquire), so nothing was enrolled; capture"
+                f"{name} holds {row.failure} (failure to acquire), so nothing was enrolled; capture"
                 " it again."
             )
-            require(not one.failure or one.kind == "template", fault)
-            made.append(one)
+            require(not row.failure or row.kind == "template", fault)
+            rows.append(row)
         earlier = [] if created else self.entries(person, finger)
-        sessions = _sessions(made, earlier, session)
+        sessions = _sessions(rows, earlier, session)
         captures = [
-            new_capture(one, person, finger, its, how)
-            for one, its in zip(made, sessions, strict=True)
+            new_capture(row, person, finger, its, how)
+            for row, its in zip(rows, sessions, strict=True)
         ]
-        sides = [one.side for one in made if one.side is not None]
+        sides = [row.side for row in rows if row.side is not None]
         review = _Review(self, sides, (person, finger), duplicates)
         review.look()  # the first look may take long, and holds nobody up
         added = self.add(
@@ -250,7 +250,7 @@ class Gallery(GalleryFile):
         enrolled = [
             _enrolled(capture, is_new) for capture, is_new in zip(captures, added, strict=True)
         ]
-        findings = [finding for one in made for finding in one.findings]
+        findings = [finding for row in rows for finding in row.findings]
         findings += [_kept_failure(each) for each in enrolled if each.new and not each.acquired]
         return Enrolment(
             content_of(self, created=created),
@@ -411,15 +411,15 @@ def _kept_failure(capture: EnrolledCapture) -> Finding:
     return Finding("failure-to-acquire", words)
 
 
-def _sessions(made: Sequence[Made], earlier: Sequence[Entry], session: str | None) -> list[str]:
+def _sessions(rows: Sequence[Made], earlier: Sequence[Entry], session: str | None) -> list[str]:
     """Sessions of what is enrolled: as named, or of the very same source, or the next number."""
     taken = {entry.session: entry.source_sha256 for entry in earlier}
     chosen = []
-    for one in made:
+    for row in rows:
         numbers = [int(name) for name in taken if name.isascii() and name.isdigit()]
-        same = (name for name, sha256 in taken.items() if sha256 == one.source_sha256)
+        same = (name for name, sha256 in taken.items() if sha256 == row.source_sha256)
         chosen.append(session or next(same, str(1 + max(numbers, default=0))))
-        taken[chosen[-1]] = one.source_sha256
+        taken[chosen[-1]] = row.source_sha256
     return chosen
 
 
@@ -459,13 +459,13 @@ def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = Fal
     return own
 
 
-def new_capture(made: Made, person: str, finger: str, session: str, how: Enrolling) -> NewCapture:
-    """Give what was made its names."""
+def new_capture(row: Made, person: str, finger: str, session: str, how: Enrolling) -> NewCapture:
+    """Give a row its names."""
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds") if how.with_time else ""
     entry = Entry(
-        person, finger, session, made.kind, made.source_sha256, made.area_mm2, made.failure, now
+        person, finger, session, row.kind, row.source_sha256, row.area_mm2, row.failure, now
     )
-    return NewCapture(entry, made.template)
+    return NewCapture(entry, row.template)
 
 
 def content_of(gallery: GalleryFile, *, created: bool) -> GalleryContent:

@@ -299,7 +299,7 @@ def _search(
             findings.append(Finding("captures-left-out", words))
         comparisons, others = _by_ridges(people, prepared, chosen, support, progress)
         findings += others
-        if any(one.minutiae is not None or one.overlap_mm2 is not None for one in comparisons):
+        if any(c.minutiae is not None or c.overlap_mm2 is not None for c in comparisons):
             compared_by = "fusion"
     comparisons.sort(key=_order)
     searched = Searched(

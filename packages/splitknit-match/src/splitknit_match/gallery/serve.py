@@ -309,15 +309,15 @@ def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
             "findings": known_json(enrolment.findings),
         }
     if act.name == "quality":
-        made = make_template(finger)
+        result = make_template(finger)
         quality = None
-        if isinstance(finger, Pixels) and made.a.acquired:
+        if isinstance(finger, Pixels) and result.a.acquired:
             printed = pressed_print(PrintFile(finger.image, finger.resolution_ppi, {}))
             quality = round(measured(printed, enhance(printed)).score)
-        template = base64.b64encode(made.payload or b"").decode("ascii")
+        template = base64.b64encode(result.payload or b"").decode("ascii")
         return {
-            "acquired": made.a.acquired,
-            "area_mm2": made.a.area_mm2,
+            "acquired": result.a.acquired,
+            "area_mm2": result.a.area_mm2,
             "quality": quality,
             "template": template,
         }

@@ -220,9 +220,9 @@ def _reported(
     """What a verb did with a gallery, `findings`, and one where others can read it."""
     from splitknit_match.gallery.file import readable_gallery
 
-    found = worst_first([*findings, *readable_gallery(gallery, key_file)])
-    notes = [f"Please note: {finding}" for finding in found]
-    return Report({**facts, "findings": [finding.facts for finding in found]}, (*lines, *notes))
+    ordered = worst_first([*findings, *readable_gallery(gallery, key_file)])
+    notes = [f"Please note: {finding}" for finding in ordered]
+    return Report({**facts, "findings": [finding.facts for finding in ordered]}, (*lines, *notes))
 
 
 def gallery_list(

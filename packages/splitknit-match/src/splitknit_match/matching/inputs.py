@@ -158,7 +158,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
     `where`: which finger of a photograph. Raises BadInput if it is none of these, or cannot be
     read, or no photograph though `where` chooses.
     """
-    if where is not None and where.given:
+    if where is not None and where.chosen:
         name = f"'{finger}'" if isinstance(finger, Path) else "what is not a file"
         require(
             is_photo(finger),
@@ -178,7 +178,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
         return _surface_side(Path("reconstruction"), "result", surface_of(finger))
     progress(f"reading {finger.name}", 0.1)
     require(
-        os.path.exists(finger),  # noqa: PTH110 - false, no error, where no file can have such a name
+        os.path.exists(finger),  # noqa: PTH110 - false for a name that no file can have
         f"there is no '{finger}'; name a capture folder, a result folder, a template (.skt), a"
         " print or a record of minutiae.",
     )

@@ -116,7 +116,7 @@ def match(
     target = None if template is None else Path(template)
     check_template_file(target, *fingers)
     where = PhotoFinger(mask, box)
-    photos = [(input_ppi is not None or where.given) and is_photo(finger) for finger in fingers]
+    photos = [(input_ppi is not None or where.chosen) and is_photo(finger) for finger in fingers]
     chosen = int(photos[1] and not photos[0])  # whose finger `mask` and `box` choose
 
     def read(number: int) -> Side:

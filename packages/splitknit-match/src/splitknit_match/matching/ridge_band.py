@@ -106,8 +106,8 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         max(size) * pitch_mm <= LONGEST_MM
         and size[0] * size[1] * (pitch_mm / band_mm) ** 2 <= LARGEST_PX
         and area_mm2 <= LARGEST_MM2,
-        f"the surface is {max(size) * pitch_mm:.0f} mm long and shows {area_mm2:.0f} mm², more than"
-        f" a finger's {LARGEST_MM2:.0f}; check its pitch ({pitch_mm:g} mm).",
+        f"the surface is {max(size) * pitch_mm:.0f} mm long and shows {area_mm2:.0f} mm², more"
+        f" than a finger's {LARGEST_MM2:.0f}; check its pitch ({pitch_mm:g} mm).",
     )
     columns, rows, slant_cos = band_places(
         mask, shape_mm, transform, size, pitch_mm=pitch_mm, band_mm=band_mm

@@ -21,7 +21,7 @@ class PhotoFinger:
     box: str | None = None
 
     @property
-    def given(self) -> bool:
+    def chosen(self) -> bool:
         """Whether somebody chose."""
         return self.mask is not None or self.box is not None
 

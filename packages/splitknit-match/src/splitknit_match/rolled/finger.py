@@ -74,7 +74,8 @@ def _shape_of(body: Body) -> Shape:
 class Work:
     """A finger between its mirrors while it is put together."""
 
-    def __init__(self, capture: Capture, views: MirrorViews, settings: MetricSettings) -> None:  # noqa: D107
+    def __init__(self, capture: Capture, views: MirrorViews, settings: MetricSettings) -> None:
+        """Measure the shape, and the relief of every view."""
         self.capture = capture
         self.findings = views.findings
         self.cut = {view.name for view in views if view.cut}

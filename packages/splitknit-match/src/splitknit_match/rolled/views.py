@@ -184,7 +184,7 @@ def _above_crease(
     upright = find_upright(small, capture.tip_direction_deg or 0.0)
     px_per_mm = capture.rig.camera.px_per_mm / binning
     crease = find_crease(pick_channel(mean, "grey"), small, upright, px_per_mm)
-    if not crease.found:
+    if not crease.detected:
         return mask
     across, along, offset = upright.upright_from_input[1]
     rows, columns = (

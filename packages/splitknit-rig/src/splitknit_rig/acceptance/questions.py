@@ -282,7 +282,7 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
     results: list[Reconstruction] = []
 
     def ask() -> Iterator[Answer]:
-        results.extend(reconstruct(_used(one), "ea", {"keep": True}) for one in captures)
+        results.extend(reconstruct(_used(taken), "ea", {"keep": True}) for taken in captures)
         yield from _asked([REPEAT], again) + _asked([STILL], still) + _asked([NEAR, FAR], focus)
         if "white_crossed" in _used(captures[0]).bands:
             yield from _asked([FILMS], crossed)

@@ -186,8 +186,9 @@ class CardModel:
     def _places(self, order: Order) -> tuple[range, range, range, range]:
         """Where brightness, lens, exponents and tilts stand in the vector of parameters."""
         beams = {"none": 0, "band": int(self.band.max()) + 1, "led": self.count}[order.beam]
-        ends = np.cumsum([0, self.count, order.lens, beams, 2 * self.count if order.aims else 0])
-        return tuple(range(int(a), int(b)) for a, b in itertools.pairwise(ends))  # type: ignore[return-value]
+        sizes = self.count, order.lens, beams, 2 * self.count if order.aims else 0
+        a, b, c, d = itertools.accumulate(sizes)
+        return range(a), range(a, b), range(b, c), range(c, d)
 
     def vector(self, answer: Answer, order: Order) -> Array:
         """Parameters of `order` that come closest to `answer`; a beam that is aimed for the first

@@ -61,7 +61,8 @@ def picture_on_plane(camera: Camera) -> tuple[float, float, float]:
         return 0.0, -0.5 * rows / camera.px_per_mm, 0.5 * rows / camera.px_per_mm
     middle = np.full(3, 0.5 * (columns - 1))
     x, y = slopes_of_pixels(camera, middle, np.array([0.5 * (rows - 1), rows - 0.5, -0.5]))
-    return tuple(float(slope * camera.height_mm) for slope in (x[0], y[1], y[2]))  # type: ignore[return-value]
+    middle_x, lower, upper = (np.array([x[0], y[1], y[2]]) * camera.height_mm).tolist()
+    return middle_x, lower, upper
 
 
 def px_per_mm_at(camera: Camera, z_mm: float) -> float:

@@ -204,9 +204,10 @@ def _closed(values: Array, pitch_mm: float, radius_mm: float) -> Array:
     reach = int(np.ceil(np.sqrt(2.0 * radius_mm * float(np.ptp(values))) / pitch_mm)) + 1
     fall = (np.arange(-reach, reach + 1) * pitch_mm) ** 2 / (2.0 * radius_mm)
     result = values
-    for operation in (ndimage.grey_dilation, ndimage.grey_erosion):
+    operations: tuple[Any, ...] = ndimage.grey_dilation, ndimage.grey_erosion
+    for operation in operations:
         for structure in (-fall[:, None], -fall[None, :]):
-            result = operation(result, structure=structure, mode="nearest")  # type: ignore[call-overload]
+            result = operation(result, structure=structure, mode="nearest")
     return np.maximum(result, values)
 
 

@@ -226,8 +226,9 @@ class CoatedPatch:
             # a ball rises above the skin's shadow
             dust = dust * np.clip(0.5 + 2.0 * _dot(light, self.body), 0.0, 1.0)
             entering, gloss, extra = entering * free, gloss * free * seen, extra * seen + dust
-        inside = patch.mask
-        return tuple(np.where(inside, part, 0.0) for part in (entering, gloss, extra))  # type: ignore[return-value]
+        parts = (np.where(patch.mask, part, 0.0) for part in (entering, gloss, extra))
+        entering, gloss, extra = parts
+        return entering, gloss, extra
 
     def _under_water(self, light: Vectors, strength: Values, normal: Vectors) -> Values:
         """Light that enters the skin below the water's surface.

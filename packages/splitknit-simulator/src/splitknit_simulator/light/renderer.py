@@ -368,10 +368,10 @@ class _Sheet:
 
 def _sampled(field: FloatArray, row: FloatArray, column: FloatArray, how: int) -> FloatArray:
     """`field` at places in between its pixels; beyond its border the border goes on."""
-    found = cv2.remap(
+    values = cv2.remap(
         field, column, np.ascontiguousarray(row), how, borderMode=cv2.BORDER_REPLICATE
     )
-    return np.asarray(found, dtype=np.float32)
+    return np.asarray(values, dtype=np.float32)
 
 
 class Relief:

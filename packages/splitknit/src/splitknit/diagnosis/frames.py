@@ -277,7 +277,9 @@ def doubt_of_lights(
     return Finding(code, words, severity, files, fit.turned_deg or None)
 
 
-def _fault_of_lights(fit: LightFit, names: Sequence[str], material: str) -> tuple[str, str]:  # noqa: PLR0911
+def _fault_of_lights(  # noqa: PLR0911
+    fit: LightFit, names: Sequence[str], material: str
+) -> tuple[str, str]:
     """Code and sentence of :func:`doubt_of_lights`, empty where nothing is wrong."""
     if material == "skin" and fit.variety < ONE_LIGHT:
         return (
@@ -377,12 +379,12 @@ def rig_of_frame(rig: Rig, frame: str) -> Rig:
     (a, b), (c, d) = FRAMES[frame]
 
     def turned(led: Led) -> Led:
-        vectors = {}
+        vectors: dict[str, Any] = {}
         for name in ("position_mm", "direction", "aim"):
             if vector := getattr(led, name):
                 x, y, z = vector
                 vectors[name] = (a * x + b * y, c * x + d * y, z)
-        return replace(led, **vectors, also=tuple(turned(each) for each in led.also))  # type: ignore[arg-type]
+        return replace(led, **vectors, also=tuple(turned(each) for each in led.also))
 
     return replace(rig, leds=tuple(turned(led) for led in rig.leds))
 

@@ -52,12 +52,12 @@ def fingers_apart(
     frame = np.array([[-np.sin(turn), -np.cos(turn)], [np.cos(turn), -np.sin(turn)]])
     places = sorted(
         ((np.argwhere(part) @ frame, part) for part in parts),
-        key=lambda one: float(one[0][:, 0].mean()),
+        key=lambda place: float(place[0][:, 0].mean()),
     )
     named = _named(names, [float(place[:, 1].max()) * binning / scale for place, _ in places], keep)
     beside = (~np.logical_or.reduce(parts)).astype(np.uint8)
     _, nearest = cv2.distanceTransformWithLabels(beside, cv2.DIST_L2, cv2.DIST_MASK_5)
-    found = {}
+    fingers = {}
     for name, (_, part) in zip(named, places, strict=True):
         box = bounding_box(part, ceil(CUT_MARGIN_MM * scale / binning))
         own = cropped(capture, enlarged_box(box, binning, mean.shape[:2], capture.shape))
@@ -65,10 +65,10 @@ def fingers_apart(
         inside = cv2.resize(near, own.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
         bands = {key: _alone(band, inside, scale) for key, band in own.bands.items()}
         mask = None if own.mask is None else own.mask & inside
-        found[name] = replace(
+        fingers[name] = replace(
             own, bands=bands, mask=mask, subject={**capture.subject, "finger": name}
         )
-    return found
+    return fingers
 
 
 def _named(names: str | Sequence[str], tips_mm: Sequence[float], keep: bool) -> Sequence[str]:
@@ -96,7 +96,7 @@ def _named(names: str | Sequence[str], tips_mm: Sequence[float], keep: bool) -> 
         # pads to the camera: a right hand's thumb lies to the right
         return [f"{hand}_{digit}" for digit in (_DIGITS[::-1] if hand == "right" else _DIGITS)]
     require(
-        all(one.isidentifier() for one in names),
+        all(name.isidentifier() for name in names),
         "`fingers` must be names of letters, digits and _, or a hand.",
     )
     return names

@@ -175,7 +175,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     )
     if upright.note:
         findings.append(Finding("unsure-tip", upright.note))
-    if cut and not crease.found:
+    if cut and not crease.detected:
         findings.append(crease.verdict)
     facts = {
         "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
@@ -183,8 +183,8 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
             "given" if stated else "found" if searched and upright.clear else "assumed"
         ),
         "mask": "given" if stated_mask else "found",
-        "crease_found": bool(crease.found and cut),
-        "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
+        "crease_found": bool(crease.detected and cut),
+        "crease_distance_mm": float(crease.distance_mm) if crease.detected else None,
         "crease_line": (
             [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line]
             if crease.line

@@ -40,7 +40,7 @@ from splitknit.model import BoolArray, FloatArray
 class Crease(NamedTuple):
     """The first flexion crease, or the statement that none was seen."""
 
-    found: bool = False
+    detected: bool = False
     distance_mm: float = float("nan")
     """From the tip along the finger's axis."""
     row: float = float("nan")
@@ -99,7 +99,7 @@ def find_crease(
 def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArray:
     """The part of `mask` (H, W) on the tip's side of the crease, if any, cut normal to the finger's
     axis."""
-    if not crease.found:
+    if not crease.detected:
         return mask
     across, along, offset = upright.upright_from_input[1]
     columns = np.arange(mask.shape[1], dtype=np.float32) * np.float32(across)

@@ -161,8 +161,8 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
     )
     around = np.maximum(gaussian_mean(weight, NARROW_WINDOW * sigma), 1e-3)
     near = np.sqrt(gaussian_mean(centred * centred * weight, NARROW_WINDOW * sigma) / around)
-    shown = (
+    opacity = (
         np.clip((near / typical - EMPTY_CONTRAST) / (FULL_CONTRAST - EMPTY_CONTRAST), 0.0, 1.0)
         * weight
     )
-    return _ink(centred, deviation, typical, shown)
+    return _ink(centred, deviation, typical, opacity)

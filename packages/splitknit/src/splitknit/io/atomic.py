@@ -226,7 +226,8 @@ def sweep(folder: Path) -> None:
 
 def _sweep_folder(parent: Path) -> None:
     with contextlib.suppress(OSError):
-        for name in os.listdir(parent) if _is_own(parent.stat()) else ():  # noqa: PTH208 - names are enough
+        names = os.listdir(parent) if _is_own(parent.stat()) else ()  # noqa: PTH208 - names suffice
+        for name in names:
             if _TEMPORARY.fullmatch(name):
                 with contextlib.suppress(OSError):
                     _sweep_one(parent / name)

@@ -48,7 +48,7 @@ def surface_bytes(
     require(len(mesh.faces) > 0, _NO_SURFACE)
     facts = {"vertices": len(mesh.places), "faces": len(mesh.faces), "unit": "mm"}
     words = {"title": title, "axes": axes_of(result.facts.get("material"))}
-    made: Any = trimesh.Trimesh(
+    body: Any = trimesh.Trimesh(
         mesh.places * (0.001 if kind == "glb" else 1.0),
         mesh.faces,
         vertex_normals=mesh.normals,
@@ -57,7 +57,7 @@ def surface_bytes(
         process=False,
     )
     header = {"header": f"unit mm, {', '.join(words.values())}"} if kind == "obj" else {}
-    written = made.export(file_type=kind, **header)
+    written = body.export(file_type=kind, **header)
     written = written if isinstance(written, bytes) else written.encode("ascii")
     if kind == "stl":  # whose header is free
         written = (

@@ -186,7 +186,7 @@ def use_device(device: str = "cpu", threads: int = _DEFAULT_THREADS) -> str:
     >>> use_device("auto") in ("cpu", "cuda")
     True
     """
-    global _running  # noqa: PLW0603 - sessions are kept for the whole process, and so is where they run
+    global _running  # noqa: PLW0603 - sessions, and where they run, are the whole process's
     require(device in DEVICES, f"there is no device '{device}'; name one of {', '.join(DEVICES)}.")
     if device != "cpu":
         offered = _onnxruntime().get_available_providers()
@@ -286,7 +286,7 @@ def _onnxruntime() -> Any:
     with importing(
         "networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."
     ):
-        import onnxruntime  # type: ignore[import-untyped]  # heavy, and only presets that need it pay
+        import onnxruntime  # type: ignore[import-untyped]
     return onnxruntime
 
 
