@@ -195,11 +195,13 @@ def test_notes_stand_in_lines_and_doubts_do_not() -> None:
     doubt = Finding("low-contrast", "x.", Severity.DOUBT)
     assert noted([note, doubt]) == [f"Please note: {note}"]
     assert match_lines(ridges(findings=(note, doubt)))[-1] == f"Please note: {note}"
-    made = TemplateMade(LEFT, TemplateFile("x.skt", 5), b"12345", (note,))
-    assert str(made) == f"Please note: {note}\nTemplate of 5 bytes (version 1) written to x.skt."
-    assert str(replace(made, template=None)) == f"Please note: {note}"
-    assert "payload" not in made.facts
-    assert made.facts["a"]["path"] == "a.png"
+    template = TemplateMade(LEFT, TemplateFile("x.skt", 5), b"12345", (note,))
+    assert (
+        str(template) == f"Please note: {note}\nTemplate of 5 bytes (version 1) written to x.skt."
+    )
+    assert str(replace(template, template=None)) == f"Please note: {note}"
+    assert "payload" not in template.facts
+    assert template.facts["a"]["path"] == "a.png"
 
 
 @pytest.mark.parametrize(

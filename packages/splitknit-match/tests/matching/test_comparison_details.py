@@ -153,8 +153,8 @@ def test_the_fusion_takes_prints_with_minutiae(rated: list) -> None:
 
 def test_minutiae_are_counted_and_prints_judged(rated: list, monkeypatch) -> None:
     record = Side(Path("a.fmr"), "minutiae", minutiae=some_minutiae(13))
-    other = replace(record, path=Path("b.fmr"))
-    match = compared("minutiae", record, other)
+    second_record = replace(record, path=Path("b.fmr"))
+    match = compared("minutiae", record, second_record)
     assert rated[-1] == (41.0, "minutiae_of_prints", None, 0.01, None)
     assert (match.method, match.similarity, match.compared) == ("minutiae", 41.0, True)
     assert (match.a.path, match.b.path) == ("a.fmr", "b.fmr")
@@ -289,11 +289,11 @@ def test_a_template_file_is_written_beside_its_inputs(tmp_path: Path) -> None:
         methods.check_template_file(target, b"", tmp_path / "x" / ".." / "a.skt")
     target.write_bytes(b"")
     methods.check_template_file(target)  # a failure to acquire
-    other = tmp_path / "a.txt"
+    template_file = tmp_path / "a.txt"
     for content in (b"", b"x"):
-        other.write_bytes(content)
+        template_file.write_bytes(content)
         with pytest.raises(BadInput, match="template"):
-            methods.check_template_file(other)
+            methods.check_template_file(template_file)
 
 
 @pytest.fixture
@@ -391,7 +391,7 @@ def test_options_reach_the_comparison(rated: list, tmp_path: Path) -> None:
 def test_a_template_is_made_and_written(reads: list, tmp_path: Path) -> None:
     stages = []
     target = tmp_path / "a.skt"
-    made = splitknit_match.make_template(
+    template = splitknit_match.make_template(
         "photo",
         target,
         "snk",
@@ -403,9 +403,9 @@ def test_a_template_is_made_and_written(reads: list, tmp_path: Path) -> None:
     assert read[:3] == (Path("photo"), "snk", 400.0)
     assert read[3].box == "1,2,3,4"
     assert stages == [("reading", 0.1), ("done", 1.0)]
-    assert made.payload == side_of("print").payload
-    assert made.template.bytes == target.stat().st_size
-    assert made.a.path == "photo"
+    assert template.payload == side_of("print").payload
+    assert template.template.bytes == target.stat().st_size
+    assert template.a.path == "photo"
     match_module.match_or_make_template("photo", template=target, preset="lin")
     assert reads[-1][:2] == (Path("photo"), "lin")
     assert splitknit_match.make_template(np.zeros((9, 9), np.uint8), resolution_ppi=500).a
@@ -495,8 +495,8 @@ def test_scores_are_printed_where_they_are_wanted(rated: list, tmp_path: Path) -
         match_module.match_or_make_template(path)
     with pytest.raises(BadInput, match=r"is of a comparison; name a second finger\."):
         match_module.match_or_make_template(path, template=tmp_path / "b.skt", fmr=0.1)
-    made = match_module.match_or_make_template(path, template=tmp_path / "b.skt")
-    assert made.template.file == str(tmp_path / "b.skt")
+    template = match_module.match_or_make_template(path, template=tmp_path / "b.skt")
+    assert template.template.file == str(tmp_path / "b.skt")
 
 
 @pytest.mark.parametrize(("input_ppi", "known"), [(400.0, True), (None, False)])

@@ -74,17 +74,17 @@ def test_a_prepared_side_is_smooth_and_zero_outside() -> None:
 
 
 def test_cylinders_take_three_minutiae(side: Template) -> None:
-    for count, made in ((2, False), (3, True)):
+    for count, described in ((2, False), (3, True)):
         few = replace(side, minutiae=minutiae_of(side, 1, count))
-        assert (Prepared(few).cylinders is not None) == made
+        assert (Prepared(few).cylinders is not None) == described
     assert Prepared(replace(side, minutiae=None)).cylinders is None
 
 
 def test_the_key_is_of_the_ridges_alone(side: Template) -> None:
-    other = replace(side, minutiae=minutiae_of(side, 2, 9))
-    assert Prepared(side).key == Prepared(other).key
+    more_minutiae = replace(side, minutiae=minutiae_of(side, 2, 9))
+    assert Prepared(side).key == Prepared(more_minutiae).key
     assert Prepared(side).key != Prepared(replace(side, pitch_mm=0.11)).key
-    assert fusion._order(Prepared(side)) != fusion._order(Prepared(other))
+    assert fusion._order(Prepared(side)) != fusion._order(Prepared(more_minutiae))
     assert fusion._order(Prepared(replace(side, minutiae=None)))[1] == b""
 
 

@@ -111,8 +111,8 @@ def test_what_lies_outside_the_mask_does_not_reach_in() -> None:
     wild = np.where(mask, relief, np.float32(1e6))
     missing = np.where(mask, relief, np.float32(np.nan))
     band = ridge_band(relief, mask, PITCH_MM)
-    for other in (wild, missing):
-        again = ridge_band(other, mask, PITCH_MM)
+    for outside in (wild, missing):
+        again = ridge_band(outside, mask, PITCH_MM)
         np.testing.assert_array_equal(again.valid, band.valid)
         np.testing.assert_allclose(again.value, band.value, atol=1e-5)
     assert band.valid[23:97, 28:92].all()

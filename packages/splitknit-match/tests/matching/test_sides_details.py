@@ -136,16 +136,16 @@ def test_pictures_without_ridges_are_failures_to_acquire(
 
 
 def test_ridges_of_a_photograph_stand_for_its_picture(finder: dict[str, Any]) -> None:
-    given = Ridges(image=waves())
+    pressed = Ridges(image=waves())
     blank = np.full((300, 260), 128, np.uint8)
-    template = print_template(blank, pressed=given)
-    assert finder["sought"][0][2] is given
+    template = print_template(blank, pressed=pressed)
+    assert finder["sought"][0][2] is pressed
     assert template.area_mm2 > 100
     assert template.minutiae.count == 30
 
 
 @pytest.fixture
-def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, Any]]:
+def prints_made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, Any]]:
     """Pictures that templates were made of."""
     pictures: list[tuple[np.ndarray, Any]] = []
 
@@ -157,7 +157,9 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, Any]]:
     return pictures
 
 
-def test_a_photograph_is_a_side_with_its_quality(made: list, monkeypatch, tmp_path: Path) -> None:
+def test_a_photograph_is_a_side_with_its_quality(
+    prints_made: list, monkeypatch, tmp_path: Path
+) -> None:
     @dataclass
     class Source:
         flat: np.ndarray
@@ -177,7 +179,7 @@ def test_a_photograph_is_a_side_with_its_quality(made: list, monkeypatch, tmp_pa
     where = inputs.PhotoFinger(None, "1,2,3,4")
     side = read_side(path, "metric", input_ppi=508.0, where=where)
     assert asked == [(path, pytest.approx(20.0), where, "photo")]
-    assert made == [(source.flat, "ridges")]
+    assert prints_made == [(source.flat, "ridges")]
     assert (side.path, side.kind, side.quality, side.surface) == (path, "photo", 61.0, None)
     assert side.picture is source.flat
     assert side.template.empty
@@ -192,10 +194,10 @@ def test_a_photograph_is_a_side_with_its_quality(made: list, monkeypatch, tmp_pa
     assert not inputs.is_photo(b"")
 
 
-def test_pixels_are_a_print_at_their_resolution(made: list) -> None:
+def test_pixels_are_a_print_at_their_resolution(prints_made: list) -> None:
     side = read_side(Pixels(waves(300, 200), 1000.0), "metric")
     assert (side.path, side.kind) == (Path("array"), "print")
-    assert made[0][0].shape == side.picture.shape == (150, 100)
+    assert prints_made[0][0].shape == side.picture.shape == (150, 100)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +210,7 @@ def test_pixels_are_a_print_at_their_resolution(made: list) -> None:
     ],
 )
 def test_the_resolution_of_a_folder_of_print_may_be_doubted(
-    made: list, monkeypatch, tmp_path: Path, report: str | None, doubted: bool
+    prints_made: list, monkeypatch, tmp_path: Path, report: str | None, doubted: bool
 ) -> None:
     from splitknit_match.prints import sources
 

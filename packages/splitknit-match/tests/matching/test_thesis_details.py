@@ -234,9 +234,9 @@ def test_labels_rise_with_their_codes() -> None:
     image[1, 1] = 1
     labels = {}
     for name, place in (("right", (1, 2)), ("up", (0, 1)), ("left", (1, 0)), ("down", (2, 1))):
-        other = image.copy()
-        other[place] = 2
-        labels[name] = pattern_labels(other, 4)[1, 1]
+        changed = image.copy()
+        changed[place] = 2
+        labels[name] = pattern_labels(changed, 4)[1, 1]
     assert labels == {"right": 1, "up": 2, "left": 4, "down": 7}
     assert pattern_labels(image, 4)[1, 1] == 0
     bins = features.uniform_bins()
