@@ -118,7 +118,7 @@ class FakePicamera2:
         self.tuning, self.configuration, self.calls = tuning, {}, []
         self.asked: list[tuple[int, dict[str, Any]]] = []
         self.shots: list[Shot] = []
-        self.given = 0
+        self.delivered = 0
         self.requests: list[FakeRequest] = []
         type(self).opened.append(self)
 
@@ -150,11 +150,11 @@ class FakePicamera2:
             for k, shot in enumerate(self.shots)
             if shot.at_ns + READOUT_NS + CARRIED_NS <= self.world.now_ns
         ]
-        self.given = max(self.given, len(complete) - 2)
-        while self.given >= len(self.shots):
+        self.delivered = max(self.delivered, len(complete) - 2)
+        while self.delivered >= len(self.shots):
             self._next()
-        shot = self.shots[self.given]
-        self.given += 1
+        shot = self.shots[self.delivered]
+        self.delivered += 1
         self.world.now_ns = max(self.world.now_ns, shot.at_ns + READOUT_NS + CARRIED_NS)
         self.requests.append(FakeRequest(self, shot))
         return self.requests[-1]

@@ -428,7 +428,7 @@ while hits < 3:
         stores += 1
 run(people, out, "ridge")
 assert contents(out) == sound, "the finished store differs"
-assert not [left for left in out.rglob("*.tmp") if any(left.iterdir())], "something half-written is left"
+assert not [left for left in out.rglob("*.tmp") if any(left.iterdir())], "a partial file is left"
 print("sound")
 """
 

@@ -123,7 +123,10 @@ def test_newton_finds_the_least_loss() -> None:
     normal = np.where(known, (table - np.nanmean(table, axis=0)) / np.nanstd(table, axis=0), 0)
     x, y = np.hstack([normal, ~known, np.ones((len(table), 1))]), np.where(genuine, 1, -1)
     fraction = np.where(genuine, 0.5 / genuine.sum(), 0.5 / (~genuine).sum())
-    loss = lambda w: fraction @ np.logaddexp(0, -y * (x @ w)) + 0.5 * PENALTY * (w[:-1] ** 2).sum()  # noqa: E731
+
+    def loss(w):
+        return fraction @ np.logaddexp(0, -y * (x @ w)) + 0.5 * PENALTY * (w[:-1] ** 2).sum()
+
     best = minimize(loss, np.zeros(5), method="BFGS", tol=1e-12)
     mean = np.nanmean(table, axis=0)
     intercept, *without = model(np.array([mean, [np.nan, mean[1]], [mean[0], np.nan]]))
@@ -145,7 +148,8 @@ def test_other_traits_pair_up_by_subject_and_session() -> None:
     order = np.random.default_rng(1).permutation(one.label.size)
     face = replace(one, finger=None, name="face").taken(order)
     turned = replace(
-        face, subject=replace(face.subject, codes=face.subject.codes[:, ::-1]),  # type: ignore[type-var]
+        face,
+        subject=replace(face.subject, codes=face.subject.codes[:, ::-1]),  # type: ignore[type-var]
         session=replace(face.session, codes=face.session.codes[:, ::-1]),  # type: ignore[type-var]
     )  # fmt: skip
     expected = fuse([one, replace(one, name="again")], "linear").scores.score

@@ -1,4 +1,4 @@
-"""The acceptance test: the twin passes, a dead LED and a wrong lens file fail, bad input is refused."""
+"""The twin passes the acceptance test; a dead LED and a wrong lens file fail it."""
 
 from __future__ import annotations
 
@@ -83,9 +83,9 @@ def rig_file(tmp_path_factory) -> Path:
 
 def test_refused(rig_file, tmp_path):
     out = tmp_path / "out"
-    for given in ({}, {"card": "a", "ball": "b", "finger": ("c",)}):
+    for photographs in ({}, {"card": "a", "ball": "b", "finger": ("c",)}):
         with pytest.raises(BadInput, match=r"name the photographs, `card`, `ball` and twice"):
-            check_rig(rig_file, out=out, **given)
+            check_rig(rig_file, out=out, **photographs)
     with pytest.raises(BadInput, match="`card` does not go with `device`"):
         check_rig(rig_file, out=out, device="twin", card="a")
     with pytest.raises(BadInput, match=r"a.*capture"):
@@ -134,12 +134,12 @@ def test_a_dead_led_and_a_wrong_lens_fail(tested, rig_file, tmp_path):
         cv2.imwrite(str(file), np.zeros_like(cv2.imread(str(file))))
     rig = read_rig(rig_file)
     matrix = rig.camera.matrix * np.array([[1.05, 1, 1], [1, 1.05, 1], [1, 1, 1]])
-    other = tmp_path / "other.json"
+    narrower_lens = tmp_path / "other.json"
     camera = replace(rig.camera, matrix=matrix, px_per_mm=1.05 * rig.camera.px_per_mm)
-    write_rig(replace(rig, camera=camera), other)
+    write_rig(replace(rig, camera=camera), narrower_lens)
     dead = check_rig(rig_file, out=tmp_path / "dead", **folders(photographs))
     assert dead.facts["answer"] == "failed"
     assert "white_3.png is black" in by_question(dead.answers)["brightness by light"].note
     assert str(dead).count("white_3.png is black") == 1
-    lens = by_question(check_rig(other, out=tmp_path / "lens", **folders(out)).answers)
+    lens = by_question(check_rig(narrower_lens, out=tmp_path / "lens", **folders(out)).answers)
     assert not lens["radius of the ball"].passed

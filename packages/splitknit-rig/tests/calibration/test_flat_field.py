@@ -27,7 +27,7 @@ def grid(camera, step=STEP):
     return np.stack([columns.ravel(), rows.ravel()], axis=1).astype(float)
 
 
-def shown(rig, step=STEP, **card):
+def simulated_light(rig, step=STEP, **card):
     """What the twin sees at the grid's pixels under every LED, no room light."""
     scene = scene_of(rig, 0.0, **card)
     return np.stack(
@@ -57,7 +57,7 @@ def relative_error(estimated, truth):
 def test_the_model_agrees_with_the_simulated_card(rig, card, model):
     if model == "orthographic":
         rig = replace(rig, camera=replace(rig.camera, model=model))
-    truth = shown(rig, reflectance=1.0, height_mm=card.height_mm, tilt_deg=card.tilt_deg)
+    truth = simulated_light(rig, reflectance=1.0, height_mm=card.height_mm, tilt_deg=card.tilt_deg)
     assert np.abs(modelled(rig, card) / truth - 1).max() < 1e-4
 
 
@@ -67,11 +67,11 @@ def test_light_and_lens_are_measured_although_places_are_off(rig, error_mm):
     """Places exact or a millimetre off: aims and beams make up for it on the plane, and nearly so
     above it."""
     noise = 1 + NOISE * np.random.default_rng(0).standard_normal((14, len(grid(rig.camera))))
-    truth = shown(rig)
+    truth = simulated_light(rig)
     flat = fitted(rig, truth * noise, error_mm)
     assert relative_error(modelled(flat), truth).max() < 0.006
     above = modelled(flat, CardPlane(10.0))
-    assert relative_error(above, shown(rig, height_mm=10.0)).max() < 0.012
+    assert relative_error(above, simulated_light(rig, height_mm=10.0)).max() < 0.012
     assert np.abs(flat.rms_percent - 100 * NOISE).max() < 0.03
     assert np.mean([led.intensity for led in flat.leds]) == pytest.approx(1, abs=1e-5)
     assert flat.card_level > 0
@@ -91,7 +91,7 @@ def test_light_and_lens_are_measured_although_places_are_off(rig, error_mm):
 def test_the_simplest_model_that_explains_the_images_is_chosen():
     rig = default_rig(0.08, seed=4)
     noise = 1 + 0.002 * np.random.default_rng(1).standard_normal((14, len(grid(rig.camera))))
-    flat = fit_flat_field(rig.camera, rig.leds, grid(rig.camera), shown(rig) * noise)
+    flat = fit_flat_field(rig.camera, rig.leds, grid(rig.camera), simulated_light(rig) * noise)
     assert flat.order == LADDER[0]
     assert flat.camera.shading == ()
     assert [led.intensity for led in flat.leds] == pytest.approx(
@@ -99,7 +99,7 @@ def test_the_simplest_model_that_explains_the_images_is_chosen():
         rel=2e-3,
     )
     beams = nominal_rig(0.08)
-    flat = fitted(beams, shown(beams) * noise)
+    flat = fitted(beams, simulated_light(beams) * noise)
     assert flat.order == LADDER[2]
     for k in (0, 7):
         assert flat.leds[k].lobe_exponent == pytest.approx(beams.leds[k].lobe_exponent, abs=0.3)
@@ -110,7 +110,7 @@ def test_the_simplest_model_that_explains_the_images_is_chosen():
 @pytest.mark.slow
 def test_dust_is_left_out_of_the_fit(rig):
     pixels = grid(rig.camera)
-    truth = shown(rig)
+    truth = simulated_light(rig)
     dusty = truth * (1 + 0.001 * np.random.default_rng(2).standard_normal(truth.shape))
     specks = np.random.default_rng(3).choice(len(pixels), len(pixels) // 50, replace=False)
     dusty[:, specks] *= 0.8
@@ -143,21 +143,21 @@ def test_the_jacobian_agrees_with_differences(rig):
 
 @pytest.mark.slow
 def test_a_card_that_ends_in_the_picture_is_refused(rig):
-    pixels, light = grid(rig.camera), shown(rig)
+    pixels, light = grid(rig.camera), simulated_light(rig)
     light[:, pixels[:, 0] < 0.2 * rig.camera.image_size[1]] *= 0.02
     with pytest.raises(BadInput, match=r"does not fill the field: 2[01] % of the picture"):
         fitted(rig, light)
 
 
 def test_a_card_with_a_pattern_is_refused(rig):
-    pixels, light = grid(rig.camera), shown(rig)
+    pixels, light = grid(rig.camera), simulated_light(rig)
     light[:, (pixels[:, 0] // 12 + pixels[:, 1] // 12) % 2 == 0] *= 0.75
     with pytest.raises(BadInput, match="not uniform"):
         fitted(rig, light)
 
 
 def test_an_led_that_did_not_light_is_named(rig):
-    light = shown(rig)
+    light = simulated_light(rig)
     light[9] *= 0.05
     with pytest.raises(BadInput, match=r"LED 9 \(nir\) shows the card at 5 % .* did not light"):
         fitted(rig, light)
@@ -165,7 +165,7 @@ def test_an_led_that_did_not_light_is_named(rig):
 
 @pytest.mark.slow
 def test_the_gloss_of_a_card_is_measured(rig):
-    light = shown(rig)
+    light = simulated_light(rig)
     points = CardPlane().points(rig.camera, grid(rig.camera))
     sight = np.array([0.0, 0.0, rig.camera.height_mm]) - points
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
@@ -178,7 +178,7 @@ def test_the_gloss_of_a_card_is_measured(rig):
 
 
 def test_black_images_distant_leds_and_high_cards_are_refused(rig):
-    pixels, light = grid(rig.camera), shown(rig)
+    pixels, light = grid(rig.camera), simulated_light(rig)
     with pytest.raises(BadInput, match="black"):
         fitted(rig, 0 * light)
     distant = [Led(band="white", direction=(0, 0, 1))] * 14

@@ -42,14 +42,14 @@ burning = lambda: bank.burns
 
     def bank(self):
         self.clock = Clock()
-        self.made = Watched(DarkRoom(), self.clock)
-        return self.made
+        self.watched = Watched(DarkRoom(), self.clock)
+        return self.watched
 
     def burning(self):
-        return self.made.burns
+        return self.watched.burns
 
     def most_at_once(self):
-        return self.made.most
+        return self.watched.most
 
     def now_s(self):
         return self.clock.now_s
