@@ -62,7 +62,7 @@ def seen(camera, points):
 
 
 def lambert(led, point, normal=(0, 0, 1), albedo=0.9):
-    """Radiance by hand: inverse square, cosine of incidence, cosine to the lobe's power, Lambert."""
+    """Radiance by hand: inverse square, cosine of incidence, lobe, Lambert."""
     towards = np.array(led.position_mm) - point
     r = np.linalg.norm(towards)
     facing = max(float(np.dot(towards / r, normal)), 0.0)

@@ -103,7 +103,8 @@ class Page:
     def slide(self, selector: str, value: float) -> None:
         """Move a slider."""
         self.run(
-            "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input', {bubbles: true}))",
+            "arguments[0].value = arguments[1];"
+            "arguments[0].dispatchEvent(new Event('input', {bubbles: true}))",
             self.find(selector),
             value,
         )

@@ -171,10 +171,10 @@ class LightContract(ABC):
         ]
         script = textwrap.dedent(f"""
             import os, signal, sys, time
-            signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run without a terminal
+            signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored without a terminal
             sys.path[:0] = {sys.path!r}
             {"; ".join(imports)}
-            for number, end in enumerate({list(ends)}):  # a process each; what takes long to import is there
+            for number, end in enumerate({list(ends)}):  # forked after the slow imports
                 if os.fork() == 0:
                     break
                 print(os.waitstatus_to_exitcode(os.wait()[1]), flush=True)

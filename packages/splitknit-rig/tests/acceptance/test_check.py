@@ -1,4 +1,4 @@
-"""The acceptance test: the twin passes, a dead LED and a wrong lens file fail, bad input is refused."""
+"""The twin passes the acceptance test; a dead LED and a wrong lens file fail it."""
 
 from __future__ import annotations
 

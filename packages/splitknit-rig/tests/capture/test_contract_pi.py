@@ -62,7 +62,9 @@ from splitknit_rig.capture.pi import PiLightBank
 import gpiozero
 factory = mock_pins()
 bank = PiLightBank(PINS, gpiozero.DigitalOutputDevice)
-burning = lambda: [k for k, pin in enumerate(PINS) if factory.pin(pin).function == "output" and factory.pin(pin).state]
+def burning():
+    pins = [factory.pin(pin) for pin in PINS]
+    return [k for k, pin in enumerate(pins) if pin.function == "output" and pin.state]
 """
 
     @pytest.fixture(autouse=True)

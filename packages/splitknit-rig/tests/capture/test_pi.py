@@ -262,7 +262,7 @@ def test_missing_libraries_are_named(pins, monkeypatch):  # noqa: F811
         "ImportError('numpy.core.multiarray failed to import')",
     ],
 )
-def test_a_picamera2_compiled_for_numpy_1_is_refused(pins, monkeypatch, tmp_path, error):  # noqa: F811
+def test_picamera2_for_numpy_1_is_refused(pins, monkeypatch, tmp_path, error):  # noqa: F811
     (tmp_path / "picamera2.py").write_text(f"raise {error}\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "picamera2", raising=False)

@@ -290,7 +290,7 @@ def test_a_nail_leaves_side_lights_where_they_are_drawn(capsys, tmp_path):
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory):
-    """A ball on the bench, as a camera writes JPEG files of it, its mask, and x and y in its radii."""
+    """JPEG files of a ball on the bench, its mask, and x and y in its radii."""
     folder = tmp_path_factory.mktemp("ball")
     rig = default_rig(0.2)
     scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=False, ground=0.0)

@@ -82,14 +82,14 @@ def edges_of(slopes, weights, mask):
     index[mask] = np.arange(mask.sum())
     used, parts = (weights > FLOOR).astype(float), []
     for axis, slope in ((1, slopes[0]), (0, -slopes[1])):
-        one = [slice(None, -1) if k == axis else slice(None) for k in range(2)]
-        two = [slice(1, None) if k == axis else slice(None) for k in range(2)]
-        one, two = tuple(one), tuple(two)
-        both = mask[one] & mask[two]
-        weight = 0.5 * (floored[one] + floored[two])[both]
-        count = used[one] + used[two]
-        target = (used[one] * slope[one] + used[two] * slope[two]) / np.maximum(count, 1)
-        parts.append((index[one][both], index[two][both], weight, target[both]))
+        first = [slice(None, -1) if k == axis else slice(None) for k in range(2)]
+        second = [slice(1, None) if k == axis else slice(None) for k in range(2)]
+        first, second = tuple(first), tuple(second)
+        both = mask[first] & mask[second]
+        weight = 0.5 * (floored[first] + floored[second])[both]
+        count = used[first] + used[second]
+        target = (used[first] * slope[first] + used[second] * slope[second]) / np.maximum(count, 1)
+        parts.append((index[first][both], index[second][both], weight, target[both]))
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
 
@@ -115,7 +115,7 @@ def energy_above_the_least(seed, largest):
     best = factors.solve(operator.T @ (weight * target))
     best += factors.solve(operator.T @ (weight * (target - operator @ best)))
     height = poisson(*slopes, mask, weights)[mask].astype(float)
-    energies = (float(weight @ (target - operator @ one) ** 2) for one in (height, best))
+    energies = (float(weight @ (target - operator @ solution) ** 2) for solution in (height, best))
     return *energies, float(weight @ target**2)
 
 

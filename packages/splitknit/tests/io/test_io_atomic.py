@@ -34,12 +34,12 @@ def visible(folder: Path) -> dict[str, str]:
 def test_a_folder_appears_whole_and_parents_are_made(tmp_path):
     out = tmp_path / "a" / "b" / "result"
     with atomic_folder(out) as folder:
-        (folder / "one").write_text("1")
+        (folder / "first").write_text("1")
         (folder / "sub").mkdir()
-        (folder / "sub" / "two").write_text("2")
+        (folder / "sub" / "second").write_text("2")
         assert not out.exists()
         assert folder.parent.parent == out.parent  # renamed on one disk
-    assert (out / "sub" / "two").read_text() == "2"
+    assert (out / "sub" / "second").read_text() == "2"
     assert os.listdir(out.parent) == ["result"]  # noqa: PTH208
 
 
@@ -52,14 +52,14 @@ def test_after_a_failure_everything_is_as_before(tmp_path, error):
 
     fail(tmp_path / "new" / "result")
     assert list(tmp_path.iterdir()) == []
-    fill(tmp_path / "result", one="1")
+    fill(tmp_path / "result", first="1")
     fail(tmp_path / "result")
-    assert visible(tmp_path / "result") == {"one": "1"}
+    assert visible(tmp_path / "result") == {"first": "1"}
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
 
 
 def test_a_failed_rename_restores_the_earlier_result(tmp_path, monkeypatch):
-    fill(tmp_path / "result", one="1")
+    fill(tmp_path / "result", first="1")
     rename = Path.rename
 
     def broken(self: Path, target: Path) -> Path:
@@ -70,18 +70,18 @@ def test_a_failed_rename_restores_the_earlier_result(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "rename", broken)
     with pytest.raises(BadInput, match="No space left on device"):
         fill(tmp_path / "result", new="2")
-    assert visible(tmp_path / "result") == {"one": "1"}
+    assert visible(tmp_path / "result") == {"first": "1"}
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
 
 
 def test_an_earlier_result_is_replaced_as_a_whole(tmp_path):
-    fill(tmp_path / "result", one="1", two="2")
+    fill(tmp_path / "result", first="1", second="2")
     (tmp_path / "result" / ".DS_Store").touch()
-    fill(tmp_path / "result", two="new")
-    assert visible(tmp_path / "result") == {"two": "new"}
+    fill(tmp_path / "result", second="new")
+    assert visible(tmp_path / "result") == {"second": "new"}
     (tmp_path / "empty").mkdir()
-    fill(tmp_path / "empty", one="1")
-    assert visible(tmp_path / "empty") == {"one": "1"}
+    fill(tmp_path / "empty", first="1")
+    assert visible(tmp_path / "empty") == {"first": "1"}
 
 
 def test_files_of_others_are_never_deleted(tmp_path):
@@ -89,11 +89,11 @@ def test_files_of_others_are_never_deleted(tmp_path):
     mine.mkdir()
     (mine / "holiday.png").write_text("dear")
     with pytest.raises(BadInput, match=r"'holiday\.png', which splitknit did not write"):
-        fill(mine, one="1")
-    fill(tmp_path / "result", one="1")
+        fill(mine, first="1")
+    fill(tmp_path / "result", first="1")
     (tmp_path / "result" / "link").symlink_to(mine)
     with pytest.raises(BadInput, match="'link', which splitknit did not write"):
-        fill(tmp_path / "result", one="2")
+        fill(tmp_path / "result", first="2")
     for text in (
         "[]",
         "{",
@@ -102,7 +102,7 @@ def test_files_of_others_are_never_deleted(tmp_path):
     ):
         (mine / ".splitknit").write_text(text)
         with pytest.raises(BadInput, match="did not write"):
-            fill(mine, one="1")
+            fill(mine, first="1")
     assert (mine / "holiday.png").read_text() == "dear"
 
 
@@ -110,7 +110,7 @@ def test_files_of_others_are_never_deleted(tmp_path):
 @pytest.mark.parametrize("kind", ["pipe", "another folder's", "/dev/zero", "too large"])
 def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path, kind):
     mark = tmp_path / "theirs" / MANIFEST
-    fill(tmp_path / "ours", one="1")
+    fill(tmp_path / "ours", first="1")
     mark.parent.mkdir()
     if kind == "pipe":
         os.mkfifo(mark)
@@ -118,36 +118,36 @@ def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path, kind):
         mark.write_bytes((tmp_path / "ours" / MANIFEST).read_bytes() + b" " * 16_000_000)
     else:
         mark.symlink_to("/dev/zero" if kind == "/dev/zero" else tmp_path / "ours" / MANIFEST)
-    for name in ("one", None):  # beside a file, and alone
-        (mark.parent / "one").write_text("theirs") if name else (mark.parent / "one").unlink()
+    for name in ("first", None):  # beside a file, and alone
+        (mark.parent / "first").write_text("theirs") if name else (mark.parent / "first").unlink()
         assert manifest_of(mark.parent) == frozenset()
         if name or kind != "too large":
             with pytest.raises(BadInput, match="which splitknit did not write"):
-                fill(mark.parent, one="2")
+                fill(mark.parent, first="2")
             assert os.path.lexists(mark)
 
 
 def test_a_file_added_by_others_meanwhile_is_kept(tmp_path):
-    fill(tmp_path / "result", one="1")
+    fill(tmp_path / "result", first="1")
     with (
         pytest.raises(BadInput, match="did not write"),
         atomic_folder(tmp_path / "result") as folder,
     ):
-        (folder / "one").write_text("2")
+        (folder / "first").write_text("2")
         (tmp_path / "result" / "notes").write_text("mine")
-    assert visible(tmp_path / "result") == {"one": "1", "notes": "mine"}
+    assert visible(tmp_path / "result") == {"first": "1", "notes": "mine"}
 
 
 def test_places_that_cannot_be_written_are_refused(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(BadInput, match="is a file"):
-        fill(tmp_path / "file", one="1")
+        fill(tmp_path / "file", first="1")
     with pytest.raises(BadInput, match="cannot write"):
-        fill(tmp_path / "file" / "result", one="1")
+        fill(tmp_path / "file" / "result", first="1")
     with pytest.raises(BadInput, match="cannot write"):
-        fill(tmp_path / ("x" * 300), one="1")
+        fill(tmp_path / ("x" * 300), first="1")
     with pytest.raises(BadInput, match="not a usable path"):
-        fill(Path("a\0b"), one="1")
+        fill(Path("a\0b"), first="1")
     with (
         pytest.raises(BadInput, match="exists and is not empty"),
         atomic_folder(tmp_path, overwrite=False),
@@ -160,44 +160,44 @@ def test_places_that_cannot_be_written_are_refused(tmp_path):
 
 def test_a_file_in_an_unfinished_folder_is_written_whole_or_not_at_all(tmp_path):
     with atomic_folder(tmp_path / "result") as folder:
-        for name in ("one", "sub/two"):
+        for name in ("first", "sub/second"):
             with atomic_file(folder / name) as stream:
                 stream.write(b"1")
         with contextlib.suppress(RuntimeError), atomic_file(folder / "half") as stream:
             stream.write(b"half")
             raise RuntimeError
-        assert sorted(os.listdir(folder)) == ["one", "sub"]  # noqa: PTH208
-    assert (tmp_path / "result" / "sub" / "two").read_text() == "1"
+        assert sorted(os.listdir(folder)) == ["first", "sub"]  # noqa: PTH208
+    assert (tmp_path / "result" / "sub" / "second").read_text() == "1"
 
 
 def test_a_nested_atomic_folder_appears_with_the_outer_one(tmp_path):
     with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "result") as outer:
         with atomic_folder(outer) as inner:
             assert inner == outer
-            (inner / "one").write_text("1")
+            (inner / "first").write_text("1")
         raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == []
     with atomic_folder(tmp_path / "result") as outer, atomic_folder(outer) as inner:
-        (inner / "one").write_text("1")
-    assert visible(tmp_path / "result") == {"one": "1"}
+        (inner / "first").write_text("1")
+    assert visible(tmp_path / "result") == {"first": "1"}
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_without_permission_is_refused(tmp_path):
     (tmp_path / "locked").mkdir(mode=0o500)
     with pytest.raises(BadInput, match="Permission denied"):
-        fill(tmp_path / "locked" / "result", one="1")
+        fill(tmp_path / "locked" / "result", first="1")
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     path = tmp_path / "a" / "file.bin"
     with atomic_file(path) as stream:
-        stream.write(b"one")
+        stream.write(b"first")
         assert not path.exists()
     with pytest.raises(RuntimeError), atomic_file(path) as stream:
-        stream.write(b"two")
+        stream.write(b"second")
         raise RuntimeError
-    assert path.read_bytes() == b"one"
+    assert path.read_bytes() == b"first"
     with pytest.raises(KeyboardInterrupt), atomic_file(tmp_path / "b" / "file.bin") as stream:
         raise KeyboardInterrupt
     assert not (tmp_path / "b").exists()
@@ -247,7 +247,7 @@ def test_what_is_written_is_private(tmp_path, monkeypatch, group, for_file, for_
 @pytest.mark.parametrize("place", ["mkdir", "_lock", "_discard", "rename", "_release"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_while_tidying_waits_until_that_is_done(tmp_path, monkeypatch, number, place):
-    fill(tmp_path / "result", one="1")
+    fill(tmp_path / "result", first="1")
     where: Any = Path if place in ("mkdir", "rename") else atomic
     work, come = getattr(where, place), []
 
@@ -262,12 +262,12 @@ def test_an_interrupt_while_tidying_waits_until_that_is_done(tmp_path, monkeypat
     try:
         with pytest.raises(KeyboardInterrupt), monkeypatch.context() as patched:
             patched.setattr(where, place, interrupted)
-            fill(tmp_path / "result", one="2")
+            fill(tmp_path / "result", first="2")
     finally:
         signal.signal(number, earlier)
         INTERRUPTS.clear()
     assert come and [path.name for path in tmp_path.iterdir()] == ["result"]
-    assert visible(tmp_path / "result")["one"] in ("1", "2")
+    assert visible(tmp_path / "result")["first"] in ("1", "2")
     assert UNFINISHED.depth == 0
 
 
@@ -385,7 +385,7 @@ def test_nothing_is_written_through_a_link_inside_a_given_folder(tmp_path):
 
 @pytest.mark.parametrize("where", ["file", "folder", "swap"])
 def test_the_next_program_removes_what_a_killed_one_left(tmp_path, where):
-    fill(tmp_path / "kept", one="1")
+    fill(tmp_path / "kept", first="1")
     mine = unmarked(tmp_path)
     out = tmp_path / ("file" if where == "file" else "kept")
     run = subprocess.run([sys.executable, "-c", KILLED, str(out), where], check=False)
@@ -410,7 +410,7 @@ def test_the_next_program_removes_what_a_killed_one_left(tmp_path, where):
         "at_work",
         *(path.name for path in mine),
     }
-    assert visible(tmp_path / "kept") == {"one": "1"}
+    assert visible(tmp_path / "kept") == {"first": "1"}
     for path in mine:
         assert (path if path.is_file() else path / "mine").read_text() == "mine"
 

@@ -157,7 +157,8 @@ def test_canonical_json_depends_on_values_alone():
     }
     text = canonical_json(value)
     assert text == (
-        '{"a":[3,true,null,"\\u00fc"],"b":0.5,"c":{"path":"a/b","sigma":0.1,"steps":[1,2]},"d":[[1.0,0.0],[0.0,1.0]]}'
+        '{"a":[3,true,null,"\\u00fc"],"b":0.5,"c":{"path":"a/b","sigma":0.1,"steps":[1,2]},'
+        '"d":[[1.0,0.0],[0.0,1.0]]}'
     )
     assert canonical_json(json.loads(text)) == text
     assert canonical_json(dict(reversed(value.items()))) == text

@@ -52,9 +52,9 @@ def loaded(data: bytes, kind: str) -> Any:
 
 def test_the_colour_is_the_surfaces_and_not_the_highlights(dome: Reconstruction) -> None:
     assert dome.colour is not None
-    found, true = dome.colour[MASK], COLOURS[MASK]
-    assert np.abs(found / (found * true).sum() * (true * true).sum() - true).mean() < 0.02
-    np.testing.assert_allclose(found @ GREY_WEIGHTS, dome.albedo[MASK], rtol=1e-4)
+    colour, true = dome.colour[MASK], COLOURS[MASK]
+    assert np.abs(colour / (colour * true).sum() * (true * true).sum() - true).mean() < 0.02
+    np.testing.assert_allclose(colour @ GREY_WEIGHTS, dome.albedo[MASK], rtol=1e-4)
     assert not dome.colour[~MASK].any()
 
 

@@ -54,7 +54,7 @@ def point_light(led, points):
     vector = (
         led.intensity * 1e4 * to_light / distance**3 * np.clip(cosine, 0, None) ** led.lobe_exponent
     )
-    return vector + sum(point_light(other, points) for other in led.also)
+    return vector + sum(point_light(part, points) for part in led.also)
 
 
 def scene(rig, x=None, y=None, albedo=0.7):
@@ -215,7 +215,7 @@ def test_bytes_do_not_depend_on_the_chunks(monkeypatch):
 
 
 def test_shadows_leave_near_lights_the_distant_result():
-    """Five lights, of which three in one plane reach the surface: the two in shadow count little."""
+    """Three lights in one plane reach the surface; the two in shadow count little."""
     lights = np.array([[-0.5, 0, 1], [0, 0.01, 1], [0.5, 0, 1], [0, 0.8, 0.6], [0, -0.8, 0.6]])
     stack = np.array([1.0, 1.02, 1.0, 0.028, 0.03])[:, None, None]
     leds = (Led("white", direction=tuple(v), intensity=np.linalg.norm(v)) for v in lights)
@@ -237,8 +237,8 @@ def test_surface_may_be_nan_outside_the_mask_only():
     mask = np.zeros(SHAPE, dtype=bool)
     mask[10:50, 10:70] = True
     z[~mask] = np.nan
-    for given in (mask, None):
-        got, albedo = near_light(stack, rig, z, given)
+    for inside in (mask, None):
+        got, albedo = near_light(stack, rig, z, inside)
         assert np.abs(got - normals)[mask].max() < 2e-4
         assert not got[~mask].any()
         assert np.isnan(albedo[~mask]).all()

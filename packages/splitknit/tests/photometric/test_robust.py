@@ -140,8 +140,8 @@ def test_units_of_images_and_lights_do_not_matter(scale):
     normals, albedo = robust(stack, lights, mask)
     by_image, image_albedo = robust(stack * np.float32(scale), lights, mask)
     by_light, light_albedo = robust(stack, lights * scale, mask)
-    for other in (by_image, by_light):
-        assert np.mean(error_deg(other, normals, mask)) < 0.02
+    for rescaled in (by_image, by_light):
+        assert np.mean(error_deg(rescaled, normals, mask)) < 0.02
     assert np.allclose(image_albedo[mask] / scale, albedo[mask], rtol=1e-2)
     assert np.allclose(light_albedo[mask] * scale, albedo[mask], rtol=1e-2)
 

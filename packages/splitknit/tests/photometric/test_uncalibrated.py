@@ -42,8 +42,8 @@ def photographs(height: np.ndarray, lights: np.ndarray) -> np.ndarray:
     return np.clip(50_000 * light + noise, 0, 65535).astype(np.uint16)
 
 
-def apart_deg(found: np.ndarray, true: np.ndarray) -> float:
-    return float(np.degrees(np.arccos(np.clip((found * true).sum(axis=1), -1, 1))).mean())
+def apart_deg(estimated: np.ndarray, true: np.ndarray) -> float:
+    return float(np.degrees(np.arccos(np.clip((estimated * true).sum(axis=1), -1, 1))).mean())
 
 
 def test_lights_are_found_where_no_mask_is_given_and_one_image_is_clipped() -> None:
@@ -52,9 +52,9 @@ def test_lights_are_found_where_no_mask_is_given_and_one_image_is_clipped() -> N
     ceiling = np.full(6, np.inf)
     ceiling[2] = 0.9 * images[2].max()
     images[2] = np.minimum(images[2], ceiling[2])
-    found, deviation = unknown_lights(images, ceilings=ceiling)
-    assert apart_deg(found, true) < 1
-    assert np.allclose(np.linalg.norm(found, axis=1), 1)
+    lights, deviation = unknown_lights(images, ceilings=ceiling)
+    assert apart_deg(lights, true) < 1
+    assert np.allclose(np.linalg.norm(lights, axis=1), 1)
     assert deviation == pytest.approx((0.2386, 0.0556, 0.0725), rel=0.02)
 
 
@@ -128,12 +128,12 @@ def test_the_command_line_takes_unknown(tmp_path: Path, capsys: pytest.CaptureFi
     folder.mkdir()
     for k, image in enumerate(photographs(HEIGHT, spread_lights(7))):
         cv2.imwrite(str(folder / f"{k}.png"), image)
-    given = ["reconstruct", "--images", str(folder), "--lights", "unknown", "--px-per-mm", "8"]
-    assert main([*given, "--out", str(tmp_path / "out"), "--json"]) == 0
+    command = ["reconstruct", "--images", str(folder), "--lights", "unknown", "--px-per-mm", "8"]
+    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["facts"]["lights"] == "estimated"
     assert "bas-relief" in {each["code"] for each in facts["findings"]}
-    assert main([*given, "--material", "skin", "--out", str(tmp_path / "skin")]) == 2
+    assert main([*command, "--material", "skin", "--out", str(tmp_path / "skin")]) == 2
     assert "unknown lights go with opaque things" in capsys.readouterr().err
 
 
@@ -169,6 +169,6 @@ def test_photographs_that_determine_no_lights_are_refused(case: str, message: st
 def test_the_bear_needs_no_list(data_dir: Path) -> None:
     data = np.load(data_dir / "diligent" / "bear.npz")
     true = data["lights"] / np.linalg.norm(data["lights"], axis=1, keepdims=True)
-    found, deviation = unknown_lights(data["images"].astype(np.float32) / 65535, data["mask"])
-    assert apart_deg(found, true) < 8
+    lights, deviation = unknown_lights(data["images"].astype(np.float32) / 65535, data["mask"])
+    assert apart_deg(lights, true) < 8
     assert deviation[0] > 0.2

@@ -123,8 +123,7 @@ def test_specular_reflection_is_linear_in_the_light():
 
 
 def cap():
-    """Of a cap of 35 deg: seven lights (7, 3, n) of different strength, its matt shading (7, n), and
-    its specular reflection."""
+    """A cap of 35 deg under seven lights (7, 3, n): matt shading (7, n), specular reflection."""
     x, y = np.meshgrid(np.linspace(-0.55, 0.55, 41), np.linspace(-0.55, 0.55, 41))
     inside = np.hypot(x, y) < 0.55
     x, y = x[inside], y[inside]
