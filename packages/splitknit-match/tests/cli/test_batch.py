@@ -72,14 +72,14 @@ def test_a_damaged_copy_is_named_and_done_again(
         out, err = capsys.readouterr()
         facts = json.loads(out)
         assert (facts["captures"], facts["reconstructed"], facts["failures"]) == (4, done, [])
-        named = [one["capture"] for one in facts["unreadable"]]
+        named = [failure["capture"] for failure in facts["unreadable"]]
         assert named == ["S01/session_1/right_index", "S02/session_2/right_index"]
         assert (
             err.count("\n") == 1
             and "2 of 4 captures cannot be read (first: S01/session_1/right_index" in err
         )
         assert str(tmp_path) not in err and "the others are done" in err
-        assert [one["compared"] for one in facts["scores"]] == [done // 2]
+        assert [table["compared"] for table in facts["scores"]] == [done // 2]
     for file, content in whole.items():
         file.write_bytes(content)
     assert main(words) == 0

@@ -37,8 +37,8 @@ def gallery(whole: Path, tmp_path: Path) -> Path:
 
 
 def who(capsys, gallery: Path, *more: object) -> list[tuple[str, str, str]]:
-    found = facts_of(capsys, "gallery", "list", gallery, *more)["captures"]
-    return [(one["person"], one["finger"], one["session"]) for one in found]
+    captures = facts_of(capsys, "gallery", "list", gallery, *more)["captures"]
+    return [(capture["person"], capture["finger"], capture["session"]) for capture in captures]
 
 
 def test_a_gallery_begins_with_its_first_finger(
@@ -49,12 +49,12 @@ def test_a_gallery_begins_with_its_first_finger(
     facts = facts_of(capsys, "enroll", tmp_path / "g.skg", source, *arguments)
     assert facts["created"]
     assert (facts["captures"], facts["fingers"], facts["people"]) == (1, 1, 1)
-    (one,) = facts["enrolled"]
-    assert one["person"] == "Zo\u00eb Example"
-    assert one["session"] == "1"
-    assert one["new"]
-    assert one["acquired"]
-    assert 100 < one["area_mm2"] < 500
+    (enrolled,) = facts["enrolled"]
+    assert enrolled["person"] == "Zo\u00eb Example"
+    assert enrolled["session"] == "1"
+    assert enrolled["new"]
+    assert enrolled["acquired"]
+    assert 100 < enrolled["area_mm2"] < 500
     assert stat.S_IMODE((tmp_path / "g.skg").stat().st_mode) == 0o600
     listed = facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]
     assert listed[0]["enrolled_at"] is None
@@ -81,13 +81,13 @@ def test_several_sources_are_sessions(people_folder: Path, tmp_path: Path, capsy
     )
     assert facts["enrolled"][0]["session"] == "3"
     listed = facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]
-    assert [one["kind"] for one in listed] == ["result", "result", "print"]
+    assert [capture["kind"] for capture in listed] == ["result", "result", "print"]
     assert listed[2]["enrolled_at"].endswith("+00:00")
-    said = refusal_of(
+    refusal = refusal_of(
         capsys, "enroll", tmp_path / "g.skg", first / "print.png", *finger, "--session", "2"
     )
-    assert "already" in said
-    assert "--replace" in said
+    assert "already" in refusal
+    assert "--replace" in refusal
     facts_of(
         capsys,
         "enroll",
@@ -99,7 +99,8 @@ def test_several_sources_are_sessions(people_folder: Path, tmp_path: Path, capsy
         "--replace",
     )
     assert [
-        one["kind"] for one in facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]
+        capture["kind"]
+        for capture in facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]
     ] == [
         "result",
         "print",
@@ -111,8 +112,8 @@ def test_several_sources_are_sessions(people_folder: Path, tmp_path: Path, capsy
 def test_a_print_without_ridges_is_not_enrolled(grey: int, tmp_path: Path, capsys) -> None:
     write_print_png(tmp_path / "a.png", np.full((400, 300), grey, np.uint8))
     whose = ("--person", "Ann", "--finger", "left_ring")
-    said = refusal_of(capsys, "enroll", tmp_path / "g.skg", tmp_path / "a.png", *whose)
-    assert "failure to acquire" in said and "nothing was enrolled" in said
+    refusal = refusal_of(capsys, "enroll", tmp_path / "g.skg", tmp_path / "a.png", *whose)
+    assert "failure to acquire" in refusal and "nothing was enrolled" in refusal
     assert not (tmp_path / "g.skg").exists()
 
 
@@ -173,13 +174,13 @@ def test_a_population_goes_on_where_it_was_stopped(
     from splitknit_match.batch import enrol as enrolling_population
 
     file, calls = tmp_path / "g.skg", []
-    made = enrolling_population.made_or_failed
+    enrolled_or_failed = enrolling_population.made_or_failed
 
     def stopped(path, *options):
         calls.append(path)
         if len(calls) == 4:
             raise KeyboardInterrupt
-        return made(path, *options)
+        return enrolled_or_failed(path, *options)
 
     monkeypatch.setattr(enrolling_population, "made_or_failed", stopped)
     assert main(["enroll", str(file), "--population", str(people_folder)]) == 130
@@ -206,9 +207,9 @@ def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path
     sound = (folder / "S02/session_2/right_index/height.npz").read_bytes()
     (folder / "S02/session_2/right_index/height.npz").write_bytes(sound[:2000])
     assert main(["enroll", str(file), "--population", str(folder), "--json"]) == 2
-    said = capsys.readouterr()
-    assert "1 of 3 captures cannot be read, the others are enrolled" in said.err
-    facts = json.loads(said.out)
+    output = capsys.readouterr()
+    assert "1 of 3 captures cannot be read, the others are enrolled" in output.err
+    facts = json.loads(output.out)
     assert (facts["new"], facts["failures"], len(facts["unreadable"])) == (2, 1, 1)
     assert facts["failures_to_acquire"][0]["path"].endswith("S02/session_1/right_index")
     (folder / "S02/session_2/right_index/height.npz").write_bytes(sound)
@@ -232,10 +233,10 @@ def test_a_capture_without_a_finger_is_a_failure_not_an_error(
         raise BadInput(f"{path}: no finger is seen.")
 
     monkeypatch.setattr(gallery, "read_side", refuses)
-    made = gallery.made_or_failed(twin_folder, gallery.Enrolling(preset="ea"))
-    assert made.template == b""
-    assert made.failure == "no finger is seen."
-    assert made.source_sha256 == gallery.source_hash(twin_folder)
+    enrolment = gallery.made_or_failed(twin_folder, gallery.Enrolling(preset="ea"))
+    assert enrolment.template == b""
+    assert enrolment.failure == "no finger is seen."
+    assert enrolment.source_sha256 == gallery.source_hash(twin_folder)
 
 
 def test_a_capture_is_its_files_without_the_truth(twin_folder: Path, tmp_path: Path) -> None:
@@ -256,7 +257,7 @@ def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path
     assert facts["new"] == 6
     for file in (whole, tmp_path / "g.skg"):
         facts_of(capsys, "gallery", "export", file, "--out", tmp_path / file.parent.name / "x")
-    one, other = (
+    first, second = (
         {
             row["person"] + row["finger"] + row["session"]: (folder / row["template"]).read_bytes()
             for row in rows
@@ -264,7 +265,7 @@ def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path
         for folder in (tmp_path / whole.parent.name / "x", tmp_path / tmp_path.name / "x")
         for rows in [csv.DictReader(io.StringIO((folder / "gallery.csv").read_text()))]
     )
-    assert one == other
+    assert first == second
 
 
 def test_a_gallery_that_others_can_read_gets_a_note(
@@ -293,9 +294,9 @@ def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monke
     assert b"Ann" not in file.read_bytes()
     assert "it is encrypted; give its key" in refusal_of(capsys, *arguments)
     monkeypatch.setenv("SPLITKNIT_GALLERY_KEY", "another phrase")
-    said = refusal_of(capsys, "gallery", "list", file)
-    assert "the key is not that of the gallery" in said
-    assert "another phrase" not in said
+    refusal = refusal_of(capsys, "gallery", "list", file)
+    assert "the key is not that of the gallery" in refusal
+    assert "another phrase" not in refusal
     monkeypatch.setenv("SPLITKNIT_GALLERY_KEY", PHRASE)
     assert who(capsys, file) == [("Ann Example", "left_thumb", "1")]
     assert facts_of(capsys, "gallery", "info", file)["encrypted"]
@@ -309,8 +310,8 @@ def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monke
     )
     facts_of(capsys, "gallery", "import", tmp_path / "plain.skg", tmp_path / "out")
     assert b"Ann" in (tmp_path / "plain.skg").read_bytes()
-    said = refusal_of(capsys, "gallery", "list", tmp_path / "plain.skg", "--key-file", key)
-    assert "is not encrypted; leave the key out" in said
+    refusal = refusal_of(capsys, "gallery", "list", tmp_path / "plain.skg", "--key-file", key)
+    assert "is not encrypted; leave the key out" in refusal
 
 
 def test_what_is_removed_is_gone(gallery: Path, capsys) -> None:

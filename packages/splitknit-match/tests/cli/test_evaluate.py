@@ -74,19 +74,19 @@ def report(out: Path) -> dict[str, Any]:
 def test_a_file_of_labels_and_scores(folder: Path, tmp_path: Path, capsys: Captured) -> None:
     out = tmp_path / "out"
     assert main(["evaluate", "--scores", str(folder / "hand.csv"), "--out", str(out), *QUICK]) == 0
-    said = capsys.readouterr()
-    assert "EER 25.00 %" in said.out and "report.html" in said.out and said.err == ""
+    output = capsys.readouterr()
+    assert "EER 25.00 %" in output.out and "report.html" in output.out and output.err == ""
     facts = report(out)
     assert set(facts["eer"]) == {"value", "low", "high"} and facts["eer"]["value"] == 0.25
     assert list(facts["gar_at_far"]) == ["0.01", "0.001", "0.0001"]
     for figure in (facts["eer"], *facts["gar_at_far"].values()):
         assert 0 <= figure["low"] <= figure["value"] <= figure["high"] <= 1
-    assert [one["value"] for one in facts["gar_at_far"].values()] == [0.75] * 3
-    one = facts["systems"]["hand"]
-    assert one["bootstrap"]["method"] == "plain"
+    assert [rate["value"] for rate in facts["gar_at_far"].values()] == [0.75] * 3
+    system = facts["systems"]["hand"]
+    assert system["bootstrap"]["method"] == "plain"
     assert (
-        one["operating_points"]["0.01"]["far_upper"] == 0.75
-        and not one["operating_points"]["0.01"]["resolved"]
+        system["operating_points"]["0.01"]["far_upper"] == 0.75
+        and not system["operating_points"]["0.01"]["resolved"]
     )
     assert any("cannot resolve a FAR of 1 %" in finding["message"] for finding in facts["findings"])
     written = [path.name for path in sorted(out.iterdir())]
@@ -108,9 +108,9 @@ def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: C
         )
         == 0
     )
-    said = capsys.readouterr()
-    printed, facts = json.loads(said.out), report(out)
-    assert said.err == "" and printed["eer"] == facts["eer"] and printed["out"] == str(out)
+    output = capsys.readouterr()
+    printed, facts = json.loads(output.out), report(out)
+    assert output.err == "" and printed["eer"] == facts["eer"] and printed["out"] == str(out)
     with (folder / "ours.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     sides = [
@@ -119,14 +119,14 @@ def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: C
     ]
     assert facts["eer"]["value"] == roc(*sides).equal_error().value
     assert facts["gar_at_far"]["0.01"]["value"] == roc(*sides).at_far(0.01).gar
-    one = facts["systems"]["ours"]
-    made = roc(*sides).scored().at_far(0.01)
-    assert one["fnmr_at_fmr"]["0.01"]["value"] == pytest.approx(1 - made.gar)
+    system = facts["systems"]["ours"]
+    point = roc(*sides).scored().at_far(0.01)
+    assert system["fnmr_at_fmr"]["0.01"]["value"] == pytest.approx(1 - point.gar)
     lost = [int(np.isnan(side).sum()) for side in sides]
-    failures = one["failures_to_acquire"]
+    failures = system["failures_to_acquire"]
     assert [failures["genuine"], failures["impostor"]] == lost and sum(lost) == 48
     assert failures["rate"] == 0.02
-    assert one["bootstrap"]["method"] == "finger" and one["bootstrap"]["drawn"] == 20
+    assert system["bootstrap"]["method"] == "finger" and system["bootstrap"]["drawn"] == 20
     assert any(
         "48 of 2400 comparisons gave no score" in finding["message"]
         for finding in facts["findings"]
@@ -170,8 +170,8 @@ def test_same_input_same_report_but_for_date_and_time(folder: Path, tmp_path: Pa
         )
         assert done == 0
     facts = [report(out) for out in outs]
-    for one in facts:
-        assert one.pop("written_at")
+    for each in facts:
+        assert each.pop("written_at")
     assert facts[0] == facts[1] and facts[0]["eer"]["low"] != facts[2]["eer"]["low"]
     assert facts[0]["eer"]["value"] == facts[2]["eer"]["value"]
     pages = [
@@ -186,13 +186,17 @@ def test_two_files_are_compared_pair_by_pair(folder: Path, tmp_path: Path) -> No
     assert main(["evaluate", "--scores", *files, "--out", str(out), *QUICK]) == 0
     facts = report(out)
     assert list(facts["systems"]) == ["ours", "theirs"] and facts["system"] == "ours"
-    (found,) = facts["differences"]
-    assert (found["first"], found["second"], found["method"]) == ("ours", "theirs", "finger")
+    (difference,) = facts["differences"]
+    assert (difference["first"], difference["second"], difference["method"]) == (
+        "ours",
+        "theirs",
+        "finger",
+    )
     single = facts["systems"]
-    assert found["eer"]["value"] == pytest.approx(
+    assert difference["eer"]["value"] == pytest.approx(
         single["ours"]["eer"]["value"] - single["theirs"]["eer"]["value"]
     )
-    assert found["auc"]["low"] > 0
+    assert difference["auc"]["low"] > 0
     assert "Differences" in (out / "report.html").read_text()
     assert set(facts["inputs_sha256"]) == set(files)
 
@@ -234,11 +238,13 @@ def test_files_of_one_name_are_distinguished(folder: Path, tmp_path: Path) -> No
 
 
 def test_the_function_takes_one_file_or_several(folder: Path) -> None:
-    one = splitknit_match.evaluate(folder / "ours.csv", bootstrap=BootstrapSettings(replicates=20))
+    evaluation = splitknit_match.evaluate(
+        folder / "ours.csv", bootstrap=BootstrapSettings(replicates=20)
+    )
     two = splitknit_match.evaluate(
         [str(folder / "ours.csv")], cluster="auto", bootstrap=BootstrapSettings(replicates=20)
     )
-    assert one.results[0].eer.value == two.results[0].eer.value
+    assert evaluation.results[0].eer.value == two.results[0].eer.value
 
 
 @pytest.mark.slow
@@ -279,8 +285,8 @@ def test_what_is_drawn_can_be_chosen(folder: Path, tmp_path: Path, capsys: Captu
     ]
     assert main([*arguments, "--cluster", "subject"]) == 0
     facts = report(tmp_path / "out")
-    one = facts["systems"]["ours"]
-    assert one["bootstrap"]["method"] == "subject"
+    system = facts["systems"]["ours"]
+    assert system["bootstrap"]["method"] == "subject"
     plain = [
         "evaluate",
         "--scores",
@@ -335,9 +341,12 @@ def test_bad_files_give_one_sentence(
     path, out = tmp_path / "bad.csv", tmp_path / "out"
     path.write_text(text)
     assert main(["evaluate", "--scores", str(path), "--out", str(out), *QUICK]) == 2
-    said = capsys.readouterr()
+    output = capsys.readouterr()
     assert (
-        said.out == "" and said.err.count("\n") == 1 and words in said.err and str(path) in said.err
+        output.out == ""
+        and output.err.count("\n") == 1
+        and words in output.err
+        and str(path) in output.err
     )
     assert not out.exists() and sorted(tmp_path.iterdir()) == [path]
 
@@ -354,8 +363,8 @@ def test_other_bad_requests(folder: Path, tmp_path: Path, capsys: Captured) -> N
     (tmp_path / "notes.txt").write_text("mine")
     for words, request in requests.items():
         assert main(["evaluate", *request]) == 2, words
-        said = capsys.readouterr()
-        assert words in said.err and said.err.count("\n") == 1
+        output = capsys.readouterr()
+        assert words in output.err and output.err.count("\n") == 1
     assert main(["evaluate", "--out", out]) == 2
     capsys.readouterr()
     assert not (tmp_path / "out").exists()

@@ -50,7 +50,7 @@ def test_the_fusion_stands_in_the_report(tmp_path: Path, capsys, method: str) ->
     assert code == 0
     facts = json.loads(out)
     name = f"fused, {method}"
-    eers = {system: one["eer"]["value"] for system, one in facts["systems"].items()}
+    eers = {system: figures["eer"]["value"] for system, figures in facts["systems"].items()}
     assert list(eers) == ["s1", "s2", name]
     assert eers[name] < min(eers["s1"], eers["s2"])
     fusion = facts["fusions"][method]
@@ -58,7 +58,7 @@ def test_the_fusion_stands_in_the_report(tmp_path: Path, capsys, method: str) ->
     assert fusion["dealt_by"] == "subject"
     assert fusion["missing"] == {"s1": 11, "s2": 11}
     assert facts["system"] == "s1"  # the first stays the first
-    assert {(one["first"], one["second"]) for one in facts["differences"]} >= {
+    assert {(difference["first"], difference["second"]) for difference in facts["differences"]} >= {
         ("s1", name),
         ("s2", name),
     }
@@ -75,7 +75,7 @@ def test_files_of_several_traits(tmp_path: Path, capsys) -> None:
     fused = [f"fused, {method}" for method in ("minmax", "linear")]
     assert list(facts["systems"]) == ["s1", "s2", *fused]
     assert list(facts["fusions"]) == ["minmax", "linear"]
-    assert {one["bootstrap"]["method"] for one in facts["systems"].values()} == {"subject"}
+    assert {system["bootstrap"]["method"] for system in facts["systems"].values()} == {"subject"}
 
 
 def test_fingers_alone_are_said_to_be_less(tmp_path: Path, capsys) -> None:
@@ -98,8 +98,8 @@ def test_what_cannot_be_fused_is_one_sentence(tmp_path: Path, capsys, case: str)
     files = [write(tmp_path / "s1.csv", 1, ids=case != "nameless")]
     if case == "nameless":
         files.append(write(tmp_path / "s2.csv", 2, ids=False))
-    given = ["--scores", *files, "--fuse", *(files if case == "both" else ["trained"])]
-    code, _, err = run(capsys, *([] if case == "none" else given), "--out", tmp_path / "report")
+    options = ["--scores", *files, "--fuse", *(files if case == "both" else ["trained"])]
+    code, _, err = run(capsys, *([] if case == "none" else options), "--out", tmp_path / "report")
     assert code == 2
     assert err.count("\n") == 1
     assert CASES[case] in err

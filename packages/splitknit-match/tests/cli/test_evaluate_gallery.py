@@ -53,7 +53,7 @@ def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> 
     assert len(rows) == 15
     with GalleryFile(gallery) as opened:
         payloads = opened.people().templates
-        place = {one.names: payloads[one.row] for one in opened.entries()}
+        place = {entry.names: payloads[entry.row] for entry in opened.entries()}
     for row in rows:
         a, b = (place[row[f"subject_{k}"], row[f"finger_{k}"], row[f"session_{k}"]] for k in "ab")
         sessions = row["session_a"], row["session_b"]
@@ -124,12 +124,12 @@ def test_no_name_leaves_an_encrypted_gallery(gallery: Path, tmp_path: Path, caps
 
 
 def test_bad_input_is_one_sentence(gallery: Path, tmp_path: Path, capsys) -> None:
-    one = Path(shutil.copy(gallery, tmp_path / "one.skg"))
+    single = Path(shutil.copy(gallery, tmp_path / "one.skg"))
     for person in ("S01", "S02"):
-        facts_of(capsys, "gallery", "remove", one, "--person", person, "--session", "2")
-    said = refusal_of(capsys, "evaluate", "--gallery", one, "--out", tmp_path / "out")
-    assert "two sessions at least" in said
-    assert str(one) in said
+        facts_of(capsys, "gallery", "remove", single, "--person", person, "--session", "2")
+    refusal_text = refusal_of(capsys, "evaluate", "--gallery", single, "--out", tmp_path / "out")
+    assert "two sessions at least" in refusal_text
+    assert str(single) in refusal_text
     scores = tmp_path / "scores.csv"
     scores.write_text("label,score\n1,0.9\n0,0.1\n")
     for arguments, words in (

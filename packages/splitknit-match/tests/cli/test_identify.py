@@ -70,7 +70,7 @@ def test_nobody_is_a_fact(gallery: Path, probe: Path, tmp_path: Path, capsys) ->
     facts_of(capsys, "gallery", "remove", file, "--person", "Bob")
     facts = facts_of(capsys, "identify", file, probe)
     assert not facts["decision"]["match"]
-    assert [one["person"] for one in facts["candidates"]] == ["Ann"]
+    assert [candidate["person"] for candidate in facts["candidates"]] == ["Ann"]
     assert words_of(capsys, "identify", file, probe).startswith(
         "No match: nobody is similar enough (decided at a false"
     )
@@ -87,23 +87,28 @@ def test_one_candidate_for_a_person_a_finger_or_a_capture(
 ) -> None:
     probe = people_folder / "S01/session_1/left_thumb"
 
-    def found(*more: object) -> list[str]:
+    def names_of(*more: object) -> list[str]:
         candidates = facts_of(capsys, "identify", gallery, probe, *more)["candidates"]
-        assert [one["rank"] for one in candidates] == list(range(1, len(candidates) + 1))
-        assert sorted((one["similarity"] for one in candidates), reverse=True) == [
-            one["similarity"] for one in candidates
+        assert [candidate["rank"] for candidate in candidates] == list(
+            range(1, len(candidates) + 1)
+        )
+        assert sorted((candidate["similarity"] for candidate in candidates), reverse=True) == [
+            candidate["similarity"] for candidate in candidates
         ]
-        return [f"{one['person']} {one['finger']} {one['session']}" for one in candidates]
+        return [
+            f"{candidate['person']} {candidate['finger']} {candidate['session']}"
+            for candidate in candidates
+        ]
 
-    assert found() == ["Ann left_thumb 1", "Bob right_index 1"]
-    by_finger = found("--merge", "finger")
+    assert names_of() == ["Ann left_thumb 1", "Bob right_index 1"]
+    by_finger = names_of("--merge", "finger")
     assert by_finger[0] == "Ann left_thumb 1"
     assert sorted(by_finger[1:]) == ["Ann right_index 1", "Bob right_index 1"]
-    every = found("--merge", "none")
+    every = names_of("--merge", "none")
     assert every[:2] == ["Ann left_thumb 1", "Ann left_thumb 2"]
     assert len(every) == 4
-    assert found("--merge", "none", "--top", 2) == every[:2]
-    assert found("--finger", "right_index", "--merge", "finger") == by_finger[1:]
+    assert names_of("--merge", "none", "--top", 2) == every[:2]
+    assert names_of("--finger", "right_index", "--merge", "finger") == by_finger[1:]
 
 
 def test_verification(gallery: Path, probe: Path, capsys) -> None:

@@ -34,8 +34,8 @@ def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
 
 def test_one_finger_is_told_from_another(results: Path, capsys) -> None:
     same = facts_of(capsys, results / "a", results / "again")
-    other = facts_of(capsys, results / "a", results / "other")
-    assert same["similarity"] > 0.7 > 0.5 > other["similarity"]  # noqa: PLR0133
+    stranger = facts_of(capsys, results / "a", results / "other")
+    assert same["similarity"] > 0.7 > 0.5 > stranger["similarity"]  # noqa: PLR0133
     assert same["compared"]
     assert same["overlap_mm2"] > 200
     assert abs(same["alignment"]["rotation_deg"]) < 3  # both were brought upright
@@ -57,17 +57,17 @@ def test_prints_match_their_surfaces(results: Path, capsys) -> None:
     """A print is mirrored and lies flat; a surface is neither."""
     same = facts_of(capsys, results / "a", results / "again" / "print.png")
     both = facts_of(capsys, results / "a" / "print.png", results / "again" / "print.png")
-    other = facts_of(capsys, results / "a", results / "other" / "print.png")
+    stranger = facts_of(capsys, results / "a", results / "other" / "print.png")
     assert same["b"]["kind"] == "print"
-    assert same["similarity"] > other["similarity"] + 0.2
+    assert same["similarity"] > stranger["similarity"] + 0.2
     assert both["similarity"] > 0.6
 
 
 def test_the_thesis_method(results: Path, capsys) -> None:
     arguments = ("--method", "thesis", "--set", "thesis.gate=0.5")
     same = facts_of(capsys, results / "a", results / "again", *arguments)
-    other = facts_of(capsys, results / "a", results / "other", *arguments)
-    assert same["similarity"] > other["similarity"]
+    stranger = facts_of(capsys, results / "a", results / "other", *arguments)
+    assert same["similarity"] > stranger["similarity"]
     assert 0.5 < same["overlap"] < 1
     assert set(same["dissimilarity"]) == {"normals", "relief"}
     gated = facts_of(
@@ -78,9 +78,9 @@ def test_the_thesis_method(results: Path, capsys) -> None:
 
 @pytest.mark.slow
 def test_a_capture_is_reconstructed(twin_folder: Path, capsys) -> None:
-    found = facts_of(capsys, twin_folder, twin_folder, "--preset", "ea")
-    assert found["a"]["kind"] == "capture"
-    assert found["similarity"] == pytest.approx(1.0, abs=1e-3)
+    facts = facts_of(capsys, twin_folder, twin_folder, "--preset", "ea")
+    assert facts["a"]["kind"] == "capture"
+    assert facts["similarity"] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_words_for_people(results: Path, tmp_path: Path, capsys) -> None:
@@ -105,23 +105,25 @@ def test_words_for_people(results: Path, tmp_path: Path, capsys) -> None:
     assert "turned by" in words
     assert "version 1" in words
     assert main(["match", str(results / "a"), str(results / "other"), "--method", "thesis"]) == 0
-    said = capsys.readouterr().out
-    assert "intersection over union" in said and said.startswith("Undecided")
+    answer = capsys.readouterr().out
+    assert "intersection over union" in answer and answer.startswith("Undecided")
 
 
 def test_the_decision_is_at_a_stated_rate(results: Path, capsys) -> None:
     """One scale for people, by every method; the method's own score where it is asked for."""
-    same, other = ([str(results / "a"), str(results / name)] for name in ("again", "other"))
-    found, stranger = facts_of(capsys, *same), facts_of(capsys, *other)
-    assert found["decision"]["match"] and not stranger["decision"]["match"]
-    assert found["decision"]["fmr"] == 1e-4 and stranger["fmr"] > 1e-3
-    assert stranger["similarity"] < found["decision"]["threshold"] < found["similarity"]
-    assert found["fmr_basis"]["impostors"] == 11175 and found["fmr_missing"] is None
-    assert facts_of(capsys, *other, "--fmr", "0.9")["decision"]["match"] == (stranger["fmr"] <= 0.9)
-    assert main(["match", *other, "--raw"]) == 0
+    same, of_stranger = ([str(results / "a"), str(results / name)] for name in ("again", "other"))
+    genuine, stranger = facts_of(capsys, *same), facts_of(capsys, *of_stranger)
+    assert genuine["decision"]["match"] and not stranger["decision"]["match"]
+    assert genuine["decision"]["fmr"] == 1e-4 and stranger["fmr"] > 1e-3
+    assert stranger["similarity"] < genuine["decision"]["threshold"] < genuine["similarity"]
+    assert genuine["fmr_basis"]["impostors"] == 11175 and genuine["fmr_missing"] is None
+    assert facts_of(capsys, *of_stranger, "--fmr", "0.9")["decision"]["match"] == (
+        stranger["fmr"] <= 0.9
+    )
+    assert main(["match", *of_stranger, "--raw"]) == 0
     words = capsys.readouterr().out
     assert words.startswith("No match, decided at")
-    threshold = found["decision"]["threshold"]
+    threshold = genuine["decision"]["threshold"]
     assert (
         f"Score {stranger['similarity']:.4f} (1 = the same picture), a match from"
         f" {threshold:.4f} on." in words
@@ -129,7 +131,7 @@ def test_the_decision_is_at_a_stated_rate(results: Path, capsys) -> None:
     assert main(["match", *same, "--fmr", "1e-9"]) == 2
     assert "rates below 8.9e-07 cannot be estimated" in capsys.readouterr().err
     smaller = facts_of(capsys, *same, "--fmr", "1e-5")["decision"]
-    assert smaller["threshold"] > threshold and "expected_fmr" not in found["decision"]
+    assert smaller["threshold"] > threshold and "expected_fmr" not in genuine["decision"]
     assert 0 < smaller["expected_fmr"] < smaller["fmr"] == 1e-5
     assert main(["match", *same, "--fmr", "1e-5"]) == 0
     assert (
@@ -161,16 +163,16 @@ def test_folders_of_print_are_matched(results: Path, tmp_path: Path, capsys) -> 
     for name in ("a", "again"):
         assert main(["print", str(results / name), "--out", str(tmp_path / name), "--json"]) == 0
         counts.append(json.loads(capsys.readouterr().out)["minutiae"]["count"])
-    found = facts_of(capsys, tmp_path / "a", tmp_path / "again")
-    assert (found["a"]["kind"], found["b"]["kind"]) == ("print", "print")
-    assert found["decision"]["match"]
+    facts = facts_of(capsys, tmp_path / "a", tmp_path / "again")
+    assert (facts["a"]["kind"], facts["b"]["kind"]) == ("print", "print")
+    assert facts["decision"]["match"]
     if importlib.util.find_spec("nbis"):
-        found = facts_of(capsys, tmp_path / "a", tmp_path / "again", "--method", "minutiae")
-        assert [found[side]["minutiae"] for side in ("a", "b")] == counts
+        facts = facts_of(capsys, tmp_path / "a", tmp_path / "again", "--method", "minutiae")
+        assert [facts[side]["minutiae"] for side in ("a", "b")] == counts
         record = facts_of(
             capsys, tmp_path / "a" / "minutiae.iso", tmp_path / "again" / "minutiae.iso"
         )
-        assert (record["a"]["minutiae"], record["similarity"]) == (counts[0], found["similarity"])
+        assert (record["a"]["minutiae"], record["similarity"]) == (counts[0], facts["similarity"])
         # a print from a file has as many minutiae as 'print' finds in it
         picture = str(results / "a" / "print.png")
         assert main(["print", picture, "--out", str(tmp_path / "file"), "--json"]) == 0
@@ -193,10 +195,10 @@ def test_a_file_that_is_no_template_is_not_replaced(
 
 def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys) -> None:
     (tmp_path / "none.skt").write_bytes(b"")
-    found = facts_of(capsys, tmp_path / "none.skt", results / "a")
-    assert found["similarity"] == -1.0
-    assert not found["compared"]
-    assert not found["a"]["acquired"]
+    facts = facts_of(capsys, tmp_path / "none.skt", results / "a")
+    assert facts["similarity"] == -1.0
+    assert not facts["compared"]
+    assert not facts["a"]["acquired"]
     assert main(["match", str(tmp_path / "none.skt"), str(results / "a")]) == 0
     assert "failure to acquire" in capsys.readouterr().out
 
@@ -240,9 +242,9 @@ def test_bad_input_is_one_sentence(
         for word in arguments
     ]
     assert main(["match", *full]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert len(said.strip().splitlines()) == 1
+    refusal = capsys.readouterr().err
+    assert words in refusal
+    assert len(refusal.strip().splitlines()) == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
@@ -266,7 +268,7 @@ def test_an_input_is_never_overwritten(results: Path, tmp_path: Path, capsys) ->
 def test_false_match_rates_are_of_the_shipped_table(results: Path, capsys) -> None:
     from splitknit_match.matching.methods import rate
 
-    low, high = (rate(one, "ridge", None).fmr for one in (0.15, 0.8))
+    low, high = (rate(similarity, "ridge", None).fmr for similarity in (0.15, 0.8))
     assert low is not None
     assert high is not None
     assert 0 < high < 1e-3 < 0.3 < low <= 1  # noqa: PLR0133

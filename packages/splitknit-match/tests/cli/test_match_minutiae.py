@@ -30,8 +30,8 @@ def facts_of(
 @pytest.mark.slow
 def test_one_finger_is_told_from_another(impressions: Path, capsys) -> None:
     same = facts_of(capsys, impressions / "a", impressions / "again")
-    other = facts_of(capsys, impressions / "a", impressions / "other")
-    assert same["similarity"] > 80 > 40 > other["similarity"]  # noqa: PLR0133
+    stranger = facts_of(capsys, impressions / "a", impressions / "other")
+    assert same["similarity"] > 80 > 40 > stranger["similarity"]  # noqa: PLR0133
     assert same["compared"]
     assert same["a"]["minutiae"] > 20
     assert 0 <= same["a"]["nfiq2"] <= 100
@@ -42,32 +42,32 @@ def test_one_finger_is_told_from_another(impressions: Path, capsys) -> None:
 @pytest.mark.slow
 def test_the_similarity_is_that_of_the_prints(impressions: Path, capsys) -> None:
     """What a result's print.png gives, taken as it is."""
-    found = facts_of(capsys, impressions / "a", impressions / "again")
+    facts = facts_of(capsys, impressions / "a", impressions / "again")
     sides = [
         extract(read_print_png(impressions / name / "print.png").image) for name in ("a", "again")
     ]
-    assert found["similarity"] == minutiae_match(*sides)
+    assert facts["similarity"] == minutiae_match(*sides)
     assert (
-        found["similarity"]
+        facts["similarity"]
         == facts_of(capsys, impressions / "again", impressions / "a")["similarity"]
     )
 
 
 def test_prints_match_their_surfaces(impressions: Path, capsys) -> None:
-    found = facts_of(capsys, impressions / "a", impressions / "again" / "print.png")
-    assert found["similarity"] > 60
-    assert found["b"]["enhanced"]
-    assert found["decision"]["match"]
-    assert found["fmr_basis"]["population"] == "presses of 150 simulated fingers"
+    facts = facts_of(capsys, impressions / "a", impressions / "again" / "print.png")
+    assert facts["similarity"] > 60
+    assert facts["b"]["enhanced"]
+    assert facts["decision"]["match"]
+    assert facts["fmr_basis"]["population"] == "presses of 150 simulated fingers"
 
 
 def test_rates_are_of_the_shipped_table(impressions: Path, capsys) -> None:
-    same, other = (
+    same, stranger = (
         facts_of(capsys, impressions / "a", impressions / name) for name in ("again", "other")
     )
-    low, high = (rate(one, "minutiae", None).fmr for one in (5.0, 200.0))
+    low, high = (rate(similarity, "minutiae", None).fmr for similarity in (5.0, 200.0))
     assert same["fmr"] == rate(same["similarity"], "minutiae", None).fmr
-    assert high == same["fmr"] < 1e-3 < other["fmr"] <= 1
+    assert high == same["fmr"] < 1e-3 < stranger["fmr"] <= 1
     assert high < low
 
 
@@ -100,12 +100,12 @@ def test_words_for_people(impressions: Path, capsys) -> None:
 
 def test_an_empty_print_is_a_failure_to_acquire(impressions: Path, tmp_path: Path, capsys) -> None:
     write_print_png(tmp_path / "empty.png", np.full((300, 300), 255, np.uint8), 500.0)
-    found = facts_of(capsys, tmp_path / "empty.png", impressions / "a")
-    assert found["similarity"] == 0
-    assert not found["compared"]
-    assert not found["a"]["acquired"]
-    assert found["a"]["nfiq2"] is None
-    assert found["fmr"] is None
+    facts = facts_of(capsys, tmp_path / "empty.png", impressions / "a")
+    assert facts["similarity"] == 0
+    assert not facts["compared"]
+    assert not facts["a"]["acquired"]
+    assert facts["a"]["nfiq2"] is None
+    assert facts["fmr"] is None
     assert (
         main(["match", str(tmp_path / "empty.png"), str(impressions / "a"), "--method", "minutiae"])
         == 0
@@ -120,20 +120,20 @@ def test_templates_of_ridges_are_refused(impressions: Path, tmp_path: Path, caps
         main(["match", str(tmp_path / "a.skt"), str(impressions / "a"), "--method", "minutiae"])
         == 2
     )
-    said = capsys.readouterr().err
-    assert "keeps no minutiae" in said
-    assert said.count("\n") == 1
+    refusal = capsys.readouterr().err
+    assert "keeps no minutiae" in refusal
+    assert refusal.count("\n") == 1
 
 
 @pytest.mark.slow
 def test_two_prints_are_fused_by_default(impressions: Path, tmp_path: Path, capsys) -> None:
     prints = {name: impressions / name / "print.png" for name in ("a", "again", "other")}
     same = facts_of(capsys, prints["a"], prints["again"], method="auto")
-    other = facts_of(capsys, prints["a"], prints["other"], method="auto")
-    assert same["method"] == other["method"] == "fusion"
-    assert same["similarity"] > 3 > 0 > other["similarity"]  # noqa: PLR0133
-    assert same["fmr"] < 1e-3 < other["fmr"]
-    assert same["similarity_of_ridges"] > 0.5 > other["similarity_of_ridges"]
+    stranger = facts_of(capsys, prints["a"], prints["other"], method="auto")
+    assert same["method"] == stranger["method"] == "fusion"
+    assert same["similarity"] > 3 > 0 > stranger["similarity"]  # noqa: PLR0133
+    assert same["fmr"] < 1e-3 < stranger["fmr"]
+    assert same["similarity_of_ridges"] > 0.5 > stranger["similarity_of_ridges"]
     template = tmp_path / "a.skt"
     assert main(["match", str(prints["a"]), "--template", str(template)]) == 0
     capsys.readouterr()
@@ -190,10 +190,10 @@ def test_a_gallery_of_prints_is_searched_and_evaluated_by_both(
         )
     capsys.readouterr()
     assert main(["identify", str(gallery), str(turned), "--merge", "none", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["searched"]["compared_by"] == "fusion"
-    assert [one["person"] for one in found["candidates"]] == ["Bo", "Bo", "Ada", "Ada"]
-    assert found["decision"]["match"]
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["searched"]["compared_by"] == "fusion"
+    assert [candidate["person"] for candidate in facts["candidates"]] == ["Bo", "Bo", "Ada", "Ada"]
+    assert facts["decision"]["match"]
     scores = gallery_scores(gallery).scores
     assert scores.genuine.min() > 3 > 0 > scores.impostor.max()  # noqa: PLR0133
     # a template in which no minutiae were found counts by its ridges, on the same scale
@@ -203,7 +203,7 @@ def test_a_gallery_of_prints_is_searched_and_evaluated_by_both(
         )  # too few minutiae are no print otherwise
         patched.setattr(
             "splitknit_match.prints.make.minutiae_by_phase",
-            lambda made, *_: no_minutiae(made.image.shape),
+            lambda source, *_: no_minutiae(source.image.shape),
         )
         more = [
             gallery,

@@ -87,19 +87,19 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
     view = read_minutiae_record(out / "minutiae.iso")[0]
     assert set(view.type.tolist()) == {1, 2}
     assert view.size == tuple(facts["size"])
-    found = np.stack([view.x_px, view.y_px], axis=1).astype(float)
-    made = make_print(read_source(result, photo=False, surface=True), "unroll")
-    true = made.map.print_from_input(read_npz(result / "height.npz")["minutiae_px"])
-    inside = cv2.erode((made.weight > 0.5).astype(np.uint8), np.ones((41, 41))) > 0
-    true, found = (
+    extracted = np.stack([view.x_px, view.y_px], axis=1).astype(float)
+    finger_print = make_print(read_source(result, photo=False, surface=True), "unroll")
+    true = finger_print.map.print_from_input(read_npz(result / "height.npz")["minutiae_px"])
+    inside = cv2.erode((finger_print.weight > 0.5).astype(np.uint8), np.ones((41, 41))) > 0
+    true, extracted = (
         points[[bool(np.isfinite(p).all() and inside[round(p[1]), round(p[0])]) for p in points]]
-        for points in (true, found)
+        for points in (true, extracted)
     )
     assert len(true) > 30
-    assert (cKDTree(found).query(true)[0] < 5).mean() > 0.7
-    assert (cKDTree(true).query(found)[0] < 5).mean() > 0.7
-    mirrored = [made.image.shape[1] - 1, 0] + true * [-1, 1]
-    assert (cKDTree(found).query(mirrored)[0] < 5).mean() < 0.4
+    assert (cKDTree(extracted).query(true)[0] < 5).mean() > 0.7
+    assert (cKDTree(true).query(extracted)[0] < 5).mean() > 0.7
+    mirrored = [finger_print.image.shape[1] - 1, 0] + true * [-1, 1]
+    assert (cKDTree(extracted).query(mirrored)[0] < 5).mean() < 0.4
 
 
 def test_the_page_has_the_minutiae_on_the_surface(result: Path, tmp_path: Path, capsys) -> None:
@@ -111,14 +111,14 @@ def test_the_page_has_the_minutiae_on_the_surface(result: Path, tmp_path: Path, 
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     (surface,) = json.loads(re.search(r'id="surfaces">(.*?)</script>', page, re.DOTALL)[1])
     places = np.array(surface["minutiae"])[:, :2]
-    found = read_result(result)
+    surface = read_result(result)
     columns, rows = read_npz(result / "height.npz")["minutiae_px"].T
     at = np.rint(rows).astype(int), np.rint(columns).astype(int)
-    known = found.mask[at]
-    turn = upright_turn(found.input_from_upright)
-    height, width = found.mask.shape
-    x = (columns - (width - 1) / 2) * found.pitch_mm if found.x_mm is None else found.x_mm[at]
-    y = ((height - 1) / 2 - rows) * found.pitch_mm if found.y_mm is None else found.y_mm[at]
+    known = surface.mask[at]
+    turn = upright_turn(surface.input_from_upright)
+    height, width = surface.mask.shape
+    x = (columns - (width - 1) / 2) * surface.pitch_mm if surface.x_mm is None else surface.x_mm[at]
+    y = ((height - 1) / 2 - rows) * surface.pitch_mm if surface.y_mm is None else surface.y_mm[at]
     true = (turn @ np.stack([x, y])).T[known]
     assert (cKDTree(true).query(places)[0] < 0.3).mean() > 0.6
 
@@ -191,13 +191,15 @@ def test_the_photograph_shows_the_ridges(twin_folder: Path) -> None:
     from splitknit_match.prints.sources import read_source
 
     source = read_source(twin_folder, photo=True, surface=False)
-    made = make_print(source, "photo")
+    from_photo = make_print(source, "photo")
     truth = np.load(twin_folder / "truth.npz")
     relief = (truth["height_mm"] - truth["shape_mm"]).astype(np.float32)
     known = source.mask & np.isfinite(relief)
-    true = ink(*resample(np.where(known, relief, np.float32(0)), known, source.pitch_mm, made.map))
+    true = ink(
+        *resample(np.where(known, relief, np.float32(0)), known, source.pitch_mm, from_photo.map)
+    )
     middle = tuple(slice(n // 2 - 90, n // 2 + 90) for n in true.shape)
-    assert np.corrcoef(made.image[middle].ravel(), true[middle].ravel())[0, 1] > 0.3
+    assert np.corrcoef(from_photo.image[middle].ravel(), true[middle].ravel())[0, 1] > 0.3
 
 
 def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Path, capsys) -> None:
@@ -300,11 +302,11 @@ def test_advice_is_chosen_by_the_worst_figure() -> None:
 
     good = QualityFigures(0.9, 50.0, 0.97, 0.97, 0.5, 0.11, 400.0, 450.0, 24.0, 0.05, 0.3)
 
-    def said(**changes: float) -> tuple[str, ...]:
+    def findings_of(**changes: float) -> tuple[str, ...]:
         figures = replace(good, **changes)
         return tuple(map(str, advice(PrintQuality(*score_of(figures), figures))))
 
-    assert said() == ()
+    assert findings_of() == ()
     wanted = {
         "moisten": {"ridge_height_um": 15.0},
         "clean finger and lens": {"ridge_share": 0.4},
@@ -316,10 +318,10 @@ def test_advice_is_chosen_by_the_worst_figure() -> None:
         "turn its pad": {"centre_offset_mm": 6.0},
     }
     for words, changes in wanted.items():
-        assert len(said(**changes)) == 1
-        assert words in said(**changes)[0], words
-    assert said(sharpness=0.04) == ()  # high ridges: the finger's own
-    many = said(
+        assert len(findings_of(**changes)) == 1
+        assert words in findings_of(**changes)[0], words
+    assert findings_of(sharpness=0.04) == ()  # high ridges: the finger's own
+    many = findings_of(
         ridge_length_mm=7.0,
         ridge_area_mm2=40.0,
         ridge_height_um=10.0,

@@ -69,26 +69,26 @@ def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> 
     bare = replace(capture, rig=replace(capture.rig, mirrors=()))
     write_capture(bare, tmp_path / "bare")
     out = tmp_path / "out"
-    said = refusal(capsys, tmp_path / "bare", "--method", "rolled", "--out", out)
-    assert "no mirrors beside the finger" in said
+    message = refusal(capsys, tmp_path / "bare", "--method", "rolled", "--out", out)
+    assert "no mirrors beside the finger" in message
     assert not out.exists()
 
 
 def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(
     tmp_path: Path, capsys
 ) -> None:
-    said = refusal(capsys, tmp_path, "--method", "rolled", "--out", tmp_path / "out")
-    assert "not a capture folder" in said
-    said = refusal(
+    message = refusal(capsys, tmp_path, "--method", "rolled", "--out", tmp_path / "out")
+    assert "not a capture folder" in message
+    message = refusal(
         capsys, tmp_path, "--method", "rolled", "--surface", "plane", "--out", tmp_path / "out"
     )
-    assert "cannot be printed on the plane" in said
+    assert "cannot be printed on the plane" in message
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
 def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) -> None:
-    made = [
+    command = [
         "simulate",
         "--out",
         str(tmp_path / "capture"),
@@ -98,7 +98,9 @@ def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) ->
         "0.6",
         "--no-nir",
     ]
-    assert main([*made, "--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]", "--json"]) == 0
+    assert (
+        main([*command, "--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]", "--json"]) == 0
+    )
     capsys.readouterr()
     arguments = [
         str(tmp_path / "capture"),
