@@ -1,0 +1,603 @@
+"""Steps of the `metric` method one by one: walls, films, lights to the side, notes, pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dome_photographs import dome
+from skin_scene import ring
+from splitknit import steps
+from splitknit.errors import BadInput
+from splitknit.methods import metric
+from splitknit.methods.parameters import (
+    COLOUR_MM,
+    DOUBTFUL,
+    FAINT,
+    JPEG_COARSE,
+    JPEG_LOSS,
+    JPEG_LOSS_COARSE,
+    MAX_SLOPE,
+    RED_PART,
+    SHAPE_MM,
+    UNKNOWN_MM,
+    WALL_OF_STEEP,
+    WALL_PART,
+    WHITE_ROUGHNESS,
+    WHITE_SCATTERED,
+)
+from splitknit.model import Rig
+from splitknit.photometric.near_light import near_light
+from splitknit.presets import PRESETS
+from splitknit.skin.grid import BandImages, Grid
+from splitknit.skin.images import SkinImages
+from splitknit.skin.learned import Networks
+from splitknit.skin.parameters import KNIT_MM, LITTLE_GLOSS
+
+METRIC = PRESETS["metric"]
+SIDE = 60
+PITCH_MM = 0.1
+
+
+def codes(findings):
+    return [finding.code for finding in findings]
+
+
+def square_grid():
+    axis = (np.arange(SIDE) - (SIDE - 1) / 2) * PITCH_MM
+    return Grid(np.ones((SIDE, SIDE), bool), axis, -axis, PITCH_MM, (False,) * 4)
+
+
+def field(seed):
+    return np.random.default_rng(seed).uniform(0.1, 1.0, (SIDE, SIDE)).astype(np.float32)
+
+
+def white_band(seed=0):
+    stack = np.random.default_rng(seed).uniform(0.1, 1.0, (3, 7, SIDE, SIDE)).astype(np.float32)
+    return BandImages(("red", "green", "blue"), stack, ring("white"))
+
+
+def skin_images(*, crossed=None, side=None, findings=(), networks=None):
+    return SkinImages(
+        grid=square_grid(),
+        bands=(white_band(), white_band(1)),
+        crossed=crossed,
+        parallel=ring("white"),
+        side=side,
+        networks=networks,
+        binning=1,
+        finer=False,
+        place=(slice(0, SIDE), slice(0, SIDE)),
+        size=(SIDE, SIDE),
+        findings=findings,
+    )
+
+
+def skin_surface(**facts):
+    return metric.SkinSurface(field(1), field(2) / 50, field(3) / 500, field(4), facts)
+
+
+class TestWalls:
+    def walls(self, cut, steep, size=1000):
+        """Findings of slopes of which `cut` are cut and `steep` more are steep."""
+        slopes = np.zeros((1, size))
+        slopes[0, :cut] = MAX_SLOPE
+        slopes[0, cut : cut + steep] = 0.3 * MAX_SLOPE
+        return metric.doubt_of_walls(slopes, 0 * slopes, np.ones((1, size), bool))
+
+    def test_a_surface_without_steep_slopes_has_none(self):
+        assert self.walls(0, 0) == ()
+
+    def test_they_are_said_with_their_part_and_slant(self):
+        (finding,) = self.walls(20, 10)
+        assert finding.code == "steep-walls"
+        assert "2.0 % of the surface" in str(finding)
+        assert "steeper than 81 deg" in str(finding)
+        assert "give a `mask` that ends inside a rim" in str(finding)
+
+    def test_a_few_cut_slopes_are_none(self):
+        few = round(WALL_PART * 1000)
+        assert codes(self.walls(few, 0)) == ["steep-walls"]
+        assert self.walls(few - 1, 0) == ()
+
+    def test_a_ball_has_more_steep_slopes_than_cut_ones(self):
+        cut = 20
+        most = round(cut / WALL_OF_STEEP) - cut
+        assert codes(self.walls(cut, most)) == ["steep-walls"]
+        assert self.walls(cut, most + 1) == ()
+
+    def test_both_slopes_count_inside_alone(self):
+        slopes = np.full((1, 1000), MAX_SLOPE / np.sqrt(2))
+        inside = np.zeros((1, 1000), bool)
+        inside[0, :500] = True
+        (finding,) = metric.doubt_of_walls(slopes, -slopes, inside)
+        assert "100.0 %" in str(finding)
+        assert metric.doubt_of_walls(np.where(inside, 0, slopes), 0 * slopes, inside) == ()
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return METRIC.parameters(False, "opaque")
+
+
+class TestOpaque:
+    def bands(self):
+        white, _ = dome("metric").white_and_nir(0.0)
+        pixels = np.roll(white.band.pixels, 2, axis=0)
+        return white, replace(white, band=replace(white.band, name="nir", pixels=pixels))
+
+    def test_white_alone_gives_the_whole_height(self, parameters):
+        white, _ = self.bands()
+        surface = metric.metric_opaque(white, white, parameters)
+        inside = white.inside
+        slopes, albedo, normals = metric.near_slopes(
+            white, parameters.photometry.normals, parameters.height
+        )
+        height = metric.integrated(slopes, white, parameters.height)
+        np.testing.assert_array_equal(surface.height_mm[inside], height[inside])
+        np.testing.assert_array_equal(surface.normals, normals)
+        np.testing.assert_array_equal(surface.albedo, albedo)
+        np.testing.assert_allclose(
+            (surface.shape_mm + surface.ridge_mm)[inside], height[inside], atol=1e-6
+        )
+
+    def test_near_infrared_light_gives_the_slow_part(self, parameters):
+        white, nir = self.bands()
+        surface = metric.metric_opaque(white, nir, parameters)
+        heights = [
+            metric.integrated(
+                metric.near_slopes(band, parameters.photometry.normals, parameters.height)[0],
+                band,
+                parameters.height,
+            )
+            for band in (white, nir)
+        ]
+        expected = metric.crossover(
+            *heights, metric.ridge_response(white, parameters.shapelets), white.inside
+        )
+        np.testing.assert_allclose(
+            surface.height_mm[white.inside], expected[white.inside], atol=1e-6
+        )
+
+    def test_its_facts_name_the_band_of_the_shape_and_the_material(self):
+        surface = metric.opaque_surface(dome("metric"), METRIC)
+        assert surface.facts == {
+            "shape_source": "white",
+            "separation": metric.OPAQUE,
+            "heights": "measured",
+        }
+        assert surface.uncertainty_um is None
+
+    def test_estimated_lights_are_stated_with_what_they_leave_open(self, monkeypatch):
+        monkeypatch.setattr(metric, "bas_relief_of", lambda rig: 0.25)
+        asked = []
+        monkeypatch.setattr(
+            metric, "bas_relief_um", lambda *arguments: asked.append(arguments) or arguments[0]
+        )
+        photographs = dome("metric")
+        surface = metric.opaque_surface(photographs, METRIC)
+        lights = photographs.white_and_nir(0.0)[0].rig.light_vectors()
+        assert surface.facts["lights"] == "estimated"
+        assert surface.facts["bas_relief"] == 0.25
+        assert surface.facts["light_directions"] == np.round(lights, 3).tolist()
+        height_mm, inside, pitch_mm, unsure = asked[0]
+        assert height_mm is surface.height_mm
+        assert (inside.shape, pitch_mm, unsure) == (height_mm.shape, 0.1, 0.25)
+        assert surface.uncertainty_um is height_mm
+
+
+class TestNearSlopes:
+    def test_distant_lights_need_one_round(self, monkeypatch):
+        white, _ = dome("metric").white_and_nir(0.0)
+        rounds = []
+        monkeypatch.setattr(metric, "integrated", lambda *_: rounds.append(1))
+        p = METRIC.parameters(False, "opaque")
+        metric.near_slopes(white, p.photometry.normals, p.height)
+        assert rounds == []
+
+    def test_near_lights_fall_on_the_surface_of_the_round_before(self, monkeypatch):
+        white, _ = dome("metric").white_and_nir(2.0)
+        leds = tuple(
+            replace(
+                led,
+                direction=None,
+                position_mm=tuple(120 * np.array(led.direction, dtype=float)),
+            )
+            for led in white.capture.rig.leds
+        )
+        rig = replace(white.capture.rig, leds=leds)
+        near = replace(white, capture=replace(white.capture, rig=rig))
+        surfaces = []
+
+        def seen(images, rig, surface, inside, view):
+            surfaces.append(surface.copy())
+            return near_light(images, rig, surface, inside, view=view)
+
+        monkeypatch.setattr(metric, "_near_normals", seen)
+        monkeypatch.setattr(metric, "integrated", lambda slopes, *_: 0 * slopes[0] + 0.5)
+        p = METRIC.parameters(False, "opaque")
+        metric.near_slopes(near, p.photometry.normals, p.height)
+        assert [float(surface.mean()) for surface in surfaces] == [2.0, 2.5, 2.5]
+
+    def test_other_normals_are_those_of_distant_lights(self, monkeypatch):
+        white, _ = dome("metric").white_and_nir(0.0)
+        p = METRIC.parameters(False, "opaque")
+        dropped = []
+        by_rows = metric.by_rows
+
+        def watched(photographs, solve, *, without_clipped=False):
+            dropped.append(without_clipped)
+            return by_rows(photographs, solve, without_clipped=without_clipped)
+
+        monkeypatch.setattr(metric, "by_rows", watched)
+        for method in ("robust", "lambertian"):
+            settings = replace(p.photometry.normals, method=method)
+            slopes, _, normals = metric.near_slopes(white, settings, p.height)
+            np.testing.assert_array_equal(slopes[0], metric.slopes_of(normals, white)[0])
+        assert dropped == [True, False]
+
+
+class TestFilms:
+    @pytest.fixture
+    def measured(self, monkeypatch):
+        """What the specular image gives, and how it was asked for."""
+        asked = SimpleNamespace(skins=[], start=None, films=None, matt=None)
+        asked.fit = {
+            "specular_over_noise": 2 * FAINT,
+            "roughness": WHITE_ROUGHNESS,
+            "scattered_over_specular": WHITE_SCATTERED,
+            "side_lights": 3,
+        }
+        asked.height, asked.error = field(7), field(8) / 100
+
+        def metric_skin(bands, grid, skin, p, networks=None):
+            asked.skins.append((bands, grid, skin, p, networks))
+            return replace(skin_surface(relief_by="network"), albedo=field(len(asked.skins)))
+
+        def heights(images, matt, start, films):
+            asked.matt, asked.start, asked.films = matt, start, films
+            return asked.height, asked.error, asked.fit
+
+        monkeypatch.setattr(metric, "metric_skin", metric_skin)
+        monkeypatch.setattr(metric, "_specular_heights", heights)
+        return asked
+
+    def polarised(self, networks="networks", side=None):
+        images = skin_images(crossed=white_band(5), side=side)
+        return images, metric.metric_polarised(images, "skin", "p", networks)
+
+    def test_the_crossed_series_gives_the_first_surface(self, measured):
+        images, _ = self.polarised()
+        ((bands, grid, skin, p, networks),) = measured.skins
+        assert bands[0].stack is images.crossed.stack
+        assert bands[0].unpolarised is images.bands[0]
+        assert bands[1] is images.bands[1]
+        assert (grid, skin, p, networks) == (images.grid, "skin", "p", "networks")
+
+    def test_heights_are_split_into_a_slow_shape_and_a_relief(self, measured):
+        images, surface = self.polarised()
+        first = skin_surface()
+        rest = measured.height - first.shape_mm
+        slow = images.grid.smooth(rest, images.grid.mask, KNIT_MM)
+        np.testing.assert_allclose(surface.shape_mm, first.shape_mm + slow, atol=1e-6)
+        np.testing.assert_allclose(surface.relief_mm, rest - slow, atol=1e-6)
+        assert surface.deviation_mm is measured.error
+        assert surface.facts == {"relief_by": "polarised", "specular": measured.fit}
+
+    def test_the_fit_starts_at_the_networks_relief(self, measured):
+        self.polarised()
+        np.testing.assert_array_equal(measured.start.relief_mm, skin_surface().relief_mm)
+        assert measured.films is True
+
+    def test_without_networks_it_starts_at_a_smooth_shape(self, measured):
+        self.polarised(networks=None)
+        assert (measured.start.relief_mm == 0).all()
+        assert (measured.start.deviation_mm == np.float32(UNKNOWN_MM)).all()
+        np.testing.assert_array_equal(measured.start.shape_mm, skin_surface().shape_mm)
+
+    def test_the_crossed_series_under_side_lights_is_matt_as_well(self, measured):
+        crossed_side = white_band(6)
+        images, _ = self.polarised(side=(white_band(4), crossed_side, ring("white")))
+        assert measured.matt == (images.crossed, crossed_side)
+        self.polarised()
+        assert measured.matt[1] is None
+
+    def test_hardly_any_specular_reflection_leaves_the_modelled_surface(self, measured):
+        measured.fit["specular_over_noise"] = np.nextafter(FAINT, 0)
+        images, surface = self.polarised()
+        assert measured.skins[1][0] is images.bands
+        assert measured.skins[1][1:] == (images.grid, "skin", "p", "networks")
+        assert surface.facts == {"relief_by": "network", "specular": measured.fit}
+        np.testing.assert_array_equal(surface.albedo, field(2))
+        measured.fit["specular_over_noise"] = FAINT
+        assert self.polarised()[1].facts["relief_by"] == "polarised"
+
+    def from_the_side(self):
+        images = skin_images(side=(white_band(4), None, ring("white")))
+        return images, metric.metric_side(images, "skin", "p", "networks")
+
+    def test_side_lights_give_what_is_finer_than_the_shape(self, measured):
+        images, surface = self.from_the_side()
+        first, grid = skin_surface(), images.grid
+        rest = measured.height - first.shape_mm
+        rest = rest - grid.smooth(rest, grid.mask, SHAPE_MM)
+        slow = grid.smooth(rest, grid.mask, KNIT_MM)
+        np.testing.assert_allclose(surface.relief_mm, rest - slow, atol=1e-5)
+        np.testing.assert_allclose(surface.shape_mm, first.shape_mm + slow, atol=1e-5)
+        assert surface.facts == {"relief_by": "side", "specular": measured.fit}
+        assert measured.films is False
+        assert measured.skins[0][0] is images.bands
+
+    def test_what_is_white_is_taken_from_both_series(self, measured):
+        images, _ = self.from_the_side()
+        grid, white = images.grid, images.bands[0]
+        red, blue = (grid.smooth(white.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
+        part = RED_PART * blue / red
+        for band, matt in zip((white, images.side[0]), measured.matt, strict=True):
+            expected = band.stack - (band.stack[2] - part * band.stack[0]) / 2
+            np.testing.assert_allclose(matt.stack, expected, atol=1e-5)
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [
+            ("specular_over_noise", np.nextafter(FAINT, 0)),
+            ("roughness", np.nextafter(WHITE_ROUGHNESS, 1)),
+            ("scattered_over_specular", np.nextafter(WHITE_SCATTERED, 99)),
+            ("side_lights", 0),
+        ],
+    )
+    def test_unfit_white_light_is_not_used(self, measured, name, value):
+        measured.fit[name] = value
+        _, surface = self.from_the_side()
+        assert surface.facts == {"relief_by": "network", "specular": measured.fit}
+        np.testing.assert_array_equal(surface.relief_mm, skin_surface().relief_mm)
+
+    def test_white_light_at_its_limits_is_used(self, measured):
+        measured.fit["specular_over_noise"] = FAINT
+        assert self.from_the_side()[1].facts["relief_by"] == "side"
+
+
+@dataclass(frozen=True)
+class SpecularStandIn:
+    stack: np.ndarray
+    rig: Rig
+    noise: float
+
+
+class TestSpecularHeights:
+    @pytest.fixture
+    def fitted(self, monkeypatch):
+        """What the fit of the specular image gets."""
+        calls = SimpleNamespace(images=[], fit=None)
+
+        def specular_images(white, matt, rig, grid, shape_mm):
+            calls.images.append((white, matt, rig, shape_mm))
+            stack = np.full((len(rig.leds), SIDE, SIDE), float(len(calls.images)))
+            return SpecularStandIn(stack, rig, noise=0.1 / len(calls.images))
+
+        monkeypatch.setattr(metric, "specular_images", specular_images)
+        monkeypatch.setattr(metric, "polarised_heights", lambda *fit: setattr(calls, "fit", fit))
+        return calls
+
+    def test_the_front_lights_alone(self, fitted):
+        images, start = skin_images(), skin_surface()
+        metric._specular_heights(images, ("matt", None), start, films=True)
+        ((white, matt, rig, shape_mm),) = fitted.images
+        assert (white, matt, rig) == (images.bands[0], "matt", images.parallel)
+        assert shape_mm is start.shape_mm
+        specular, grid, height, deviation, films = fitted.fit
+        assert (grid, films) == (images.grid, True)
+        assert deviation is start.deviation_mm
+        np.testing.assert_allclose(height, start.shape_mm + start.relief_mm)
+        assert len(specular.stack) == 7
+
+    def test_side_lights_are_added_with_the_smaller_noise(self, fitted):
+        side = (white_band(4), None, replace(ring("white"), leds=ring("white").leds[:3]))
+        images = skin_images(side=side)
+        metric._specular_heights(images, ("matt", "side matt"), skin_surface(), films=False)
+        assert fitted.images[1][:3] == (side[0], "side matt", side[2])
+        specular = fitted.fit[0]
+        np.testing.assert_array_equal(specular.stack[:, 0, 0], [1] * 7 + [2] * 3)
+        assert specular.rig.leds == images.parallel.leds + side[2].leds
+        assert specular.noise == 0.05
+        assert fitted.fit[4] is False
+
+
+class TestNotes:
+    def notes(self, images=None, **facts):
+        facts = {"relief_by": "colour", **facts}
+        surface = replace(skin_surface(), facts=facts, relief_mm=0.1 * field(2))
+        return metric._findings_on(images or skin_images(), surface)
+
+    def network(self, **facts):
+        known = {"relief_rms_um": 20.0, "relief_error_um": 2.0, "gloss": 1.0}
+        return self.notes(relief_by="network", **{**known, "gain_uncertainty": 0.2, **facts})
+
+    def test_a_usual_relief_has_none(self):
+        assert self.notes() == ()
+        assert self.network() == ()
+
+    def test_notes_of_the_images_are_kept(self):
+        noted = metric.side_unused(1)
+        assert self.notes(skin_images(findings=(noted,))) == (noted,)
+
+    def test_ridges_that_are_hardly_measured_are_noted_with_their_lengths(self):
+        assert self.network(relief_error_um=20.0 * DOUBTFUL) == ()
+        (note,) = self.network(relief_error_um=15.0)
+        assert note.code == "hardly-measured"
+        assert note.lengths_mm == (0.02, 0.015)
+        assert "20 um rms with an expected error of 15 um" in str(note)
+
+    def test_a_common_factor_is_noted_where_there_is_little_gloss(self):
+        assert self.network(gloss=LITTLE_GLOSS) == ()
+        (note,) = self.network(gloss=np.nextafter(LITTLE_GLOSS, 0))
+        assert note.code == "little-gloss"
+        assert "standard deviation 20 %" in str(note)
+
+    @pytest.mark.parametrize(("crossed", "words"), [(None, "by colour"), ("films", "crossed")])
+    def test_unused_specular_light_stands_first(self, crossed, words):
+        images = skin_images(crossed=crossed, findings=(metric.side_unused(1),))
+        notes = self.notes(images, specular={"side_lights": 0})
+        assert codes(notes) == ["specular-unused", "side-unused"]
+        assert words in str(notes[0])
+        used = self.notes(images, relief_by="polarised", specular={"side_lights": 0})
+        assert codes(used) == ["side-unused"]
+
+    @pytest.mark.parametrize(
+        ("relief_by", "fitting", "noted"),
+        [("side", 7, []), ("side", 5, ["side-misfit"]), ("polarised", 0, ["side-misfit"])],
+    )
+    def test_side_lights_that_do_not_fit_are_counted(self, relief_by, fitting, noted):
+        images = skin_images(side=(None, None, ring("white")))
+        notes = self.notes(images, relief_by=relief_by, specular={"side_lights": fitting})
+        assert codes(notes) == noted
+        for note in notes:
+            assert str(note).startswith(f"{7 - fitting} of the white images")
+
+    def test_side_lights_of_a_modelled_surface_are_noted_once(self):
+        images = skin_images(side=(None, None, ring("white")))
+        assert codes(self.notes(images, specular={"side_lights": 5})) == ["specular-unused"]
+
+    def test_an_odd_relief_is_noted(self):
+        surface = replace(skin_surface(relief_by="colour"), relief_mm=3.0 * field(2))
+        (note,) = metric._findings_on(skin_images(), surface)
+        assert note.code == "odd-relief"
+        heights = np.subtract(*np.percentile(3000.0 * field(2), (95, 5)))
+        assert f"{heights:.0f}" in str(note) or f"{heights:.3g}" in str(note)
+
+    def test_an_empty_mask_has_no_relief(self):
+        grid = replace(square_grid(), mask=np.zeros((SIDE, SIDE), bool))
+        images = replace(skin_images(), grid=grid)
+        metric._findings_on(images, skin_surface(relief_by="colour"))
+
+
+class TestOnPixels:
+    @pytest.fixture
+    def chosen(self, monkeypatch):
+        names = []
+
+        def method(name):
+            def run(*arguments):
+                names.append((name, arguments))
+                return skin_surface(relief_by={"metric_polarised": "polarised"}.get(name, "colour"))
+
+            return run
+
+        for name in ("metric_polarised", "metric_side", "metric_skin"):
+            monkeypatch.setattr(metric, name, method(name))
+        return names
+
+    @pytest.mark.parametrize(
+        ("name", "films", "side", "heights"),
+        [
+            ("metric_skin", None, None, "modelled"),
+            ("metric_side", None, "side", "modelled"),
+            ("metric_polarised", "films", None, "measured"),
+            ("metric_polarised", "films", "side", "measured"),
+        ],
+    )
+    def test_the_photographs_choose_the_method(self, chosen, name, films, side, heights):
+        side = side and (None, None, ring("white"))
+        surface = metric._on_pixels(skin_images(crossed=films, side=side), METRIC, 0.0)
+        assert [called for called, _ in chosen] == [name]
+        assert surface.facts["heights"] == heights
+        assert surface.facts["shape_source"] == "nir"
+
+    def test_heights_sum_and_uncertainty_is_in_micrometres(self, chosen):
+        first = skin_surface()
+        surface = metric._on_pixels(skin_images(), METRIC, 0.0)
+        np.testing.assert_allclose(surface.height_mm, first.shape_mm + first.relief_mm)
+        np.testing.assert_array_equal(surface.ridge_mm, first.relief_mm)
+        np.testing.assert_array_equal(surface.shape_mm, first.shape_mm)
+        np.testing.assert_array_equal(surface.albedo, first.albedo)
+        np.testing.assert_allclose(surface.uncertainty_um, 1000 * first.deviation_mm, rtol=1e-6)
+
+    def test_what_jpeg_took_is_part_of_the_uncertainty(self, chosen):
+        first = skin_surface()
+        surface = metric._on_pixels(skin_images(), METRIC, 0.3)
+        expected = 1000 * np.hypot(first.deviation_mm, 0.3 * first.relief_mm)
+        np.testing.assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
+
+    def test_one_band_gives_its_own_shape(self, chosen):
+        images = skin_images()
+        one_band = replace(images, bands=images.bands[:1])
+        assert metric._on_pixels(one_band, METRIC, 0.0).facts["shape_source"] == "white"
+
+    def test_each_run_of_the_relief_network_is_reported(self, monkeypatch):
+        reported = []
+        monkeypatch.setattr(steps, "report", lambda name, part: reported.append((name, part)))
+        networks = metric._reporting(Networks(lambda fields: fields + 1))
+        for _ in range(5):
+            assert networks.relief(np.zeros(1)) == 1
+        assert reported == [("surface", part) for part in (0.25, 0.5, 0.75, 1.0, 1.0)]
+        assert metric._reporting(None) is None
+
+
+class TestSkin:
+    @pytest.fixture
+    def steps_taken(self, monkeypatch):
+        losses = []
+
+        def on_pixels(images, settings, jpeg_loss):
+            losses.append(jpeg_loss)
+            return metric.FingerSurface(*(field(1),) * 4, findings=(metric.side_unused(9),))
+
+        monkeypatch.setattr(metric, "_working_images", lambda photographs, p: skin_images())
+        monkeypatch.setattr(metric, "_on_pixels", on_pixels)
+        return losses
+
+    def photographs(self, px_per_mm=20.0, **facts):
+        photographs = dome("metric", px_per_mm=px_per_mm)
+        finger = replace(photographs.finger, facts={**photographs.finger.facts, **facts})
+        return replace(photographs, finger=finger)
+
+    def test_coloured_leds_are_refused(self):
+        photographs = self.photographs()
+        band = replace(photographs.bands[0], colours=(("red",),) * 8)
+        with pytest.raises(BadInput, match="each coloured LED differently"):
+            metric.skin_surface(replace(photographs, bands=(band,)), METRIC)
+
+    @pytest.mark.parametrize(
+        ("px_per_mm", "facts", "loss"),
+        [
+            (20.0, {}, 0.0),
+            (20.0, {"jpeg": 90}, JPEG_LOSS),
+            (JPEG_COARSE, {"jpeg": 90}, JPEG_LOSS),
+            (JPEG_COARSE - 0.1, {"jpeg": 90}, JPEG_LOSS_COARSE),
+        ],
+    )
+    def test_jpeg_takes_part_of_the_relief(self, steps_taken, px_per_mm, facts, loss):
+        metric.skin_surface(self.photographs(px_per_mm, **facts), METRIC)
+        assert steps_taken == [loss]
+
+    def test_the_images_are_released(self, steps_taken):
+        photographs = self.photographs()
+        metric.skin_surface(photographs, METRIC)
+        assert photographs.bands == ()
+
+    def test_unused_side_lights_stand_first(self, steps_taken):
+        photographs = self.photographs()
+        band = photographs.bands[0]
+        lit = replace(band, side=replace(band, leds=band.leds[:3]))
+        surface = metric.skin_surface(replace(photographs, bands=(lit,)), METRIC)
+        assert [str(finding)[:20] for finding in surface.findings] == [
+            "the 3 white images l",
+            "the 9 white images l",
+        ]
+        plain = metric.skin_surface(self.photographs(), METRIC)
+        assert len(plain.findings) == 1
+
+    @pytest.mark.parametrize(
+        ("material", "stated", "undone"),
+        [
+            ("skin", None, True),
+            ("opaque", None, False),
+            ("skin", False, False),
+            ("opaque", True, True),
+        ],
+    )
+    def test_blur_is_undone_of_skin_or_as_stated(self, material, stated, undone):
+        assert metric.undoes_blur(material, replace(METRIC.skin, invert_blur=stated)) == undone

@@ -1,0 +1,239 @@
+"""Photographs of a finger and its surface in the full picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dome_photographs import COLOUR, PX_PER_MM, dome
+from splitknit.errors import BadInput
+from splitknit.findings import Finding, Severity
+from splitknit.methods import photographs as module
+from splitknit.methods.photographs import FingerSurface, diagnosed, placed, prepared, side_unused
+from splitknit.methods.thesis import thesis_surface
+from splitknit.presets import PRESETS, override
+
+EA, SNK, METRIC = PRESETS["ea"], PRESETS["snk"], PRESETS["metric"]
+
+
+@pytest.fixture(scope="module")
+def photographs():
+    return dome()
+
+
+def with_nir(photographs):
+    """The same photographs, also as a near-infrared band."""
+    nir = replace(photographs.capture.bands["white"], name="nir")
+    leds = photographs.capture.rig.leds
+    rig = replace(
+        photographs.capture.rig, leds=(*leds, *(replace(led, band="nir") for led in leds))
+    )
+    own = tuple((len(leds) + light,) for light in range(len(leds)))
+    bands = {**photographs.capture.bands, "nir": replace(nir, leds=own)}
+    return replace(photographs.capture, bands=bands, rig=rig)
+
+
+class TestBands:
+    @pytest.mark.parametrize(
+        ("settings", "names"),
+        [
+            (METRIC, ["white", "nir"]),
+            (override(METRIC, {"shape.source": "white"}), ["white"]),
+            (EA, ["white"]),
+        ],
+    )
+    def test_the_near_infrared_band_is_taken_for_a_shape_of_its_own(
+        self, photographs, settings, names
+    ):
+        taken = prepared(with_nir(photographs), settings)
+        assert [band.name for band in taken.bands] == names
+
+    def test_white_serves_for_both_where_there_is_no_other(self, photographs):
+        white, nir = photographs.white_and_nir(3.0)
+        assert white == nir
+        assert (white.plane_mm, white.band.name) == (3.0, "white")
+        taken = prepared(with_nir(photographs), METRIC)
+        assert [part.band.name for part in taken.white_and_nir(0.0)] == ["white", "nir"]
+
+    def test_a_band_has_its_own_lights_and_the_cameras_scale(self, photographs):
+        taken = prepared(with_nir(photographs), METRIC)
+        _, nir = taken.white_and_nir(0.0)
+        assert {led.band for led in nir.rig.leds} == {"nir"}
+        assert len(nir.rig.leds) == 8
+        assert (nir.px_per_mm, nir.pitch_mm) == (PX_PER_MM, 1 / PX_PER_MM)
+        np.testing.assert_array_equal(nir.inside, taken.finger.wider[taken.finger.window])
+
+    def test_released_photographs_hold_no_images(self):
+        photographs = dome()
+        photographs.release()
+        assert (photographs.bands, dict(photographs.capture.bands)) == ((), {})
+
+
+class TestDiagnosed:
+    @pytest.fixture
+    def diagnosis(self, monkeypatch):
+        """The findings that the diagnosis answers."""
+        findings = []
+        monkeypatch.setattr(
+            module, "diagnose", lambda capture, finger: (capture, finger, tuple(findings))
+        )
+        return findings
+
+    def codes(self, photographs, settings):
+        return [finding.code for finding in diagnosed(photographs, settings).findings]
+
+    def test_the_worst_stands_first(self, photographs, diagnosis):
+        diagnosis += [
+            Finding("hollow", "a note."),
+            Finding("spoilt", "a doubt.", Severity.DOUBT, band="white"),
+        ]
+        assert self.codes(photographs, EA) == ["spoilt", "hollow"]
+
+    def test_what_is_wrong_with_an_unused_band_is_left_out(self, photographs, diagnosis):
+        diagnosis += [
+            Finding("spoilt", "a doubt.", Severity.DOUBT, band="nir"),
+            Finding("noted", "a note.", band="nir"),
+            Finding("whitened", "a doubt.", Severity.DOUBT, band="white"),
+        ]
+        assert self.codes(photographs, EA) == ["whitened", "noted"]
+        both = prepared(with_nir(photographs), METRIC)
+        assert self.codes(both, METRIC) == ["spoilt", "whitened", "noted"]
+
+    @pytest.mark.parametrize(
+        ("settings", "material", "noted"),
+        [
+            (SNK, "skin", True),
+            (SNK, "opaque", False),
+            (EA, "skin", False),
+            (override(SNK, {"shape.source": "white"}), "skin", False),
+        ],
+    )
+    def test_skin_without_near_infrared_light_is_noted(
+        self, photographs, diagnosis, settings, material, noted
+    ):
+        capture = replace(photographs.capture, material=material)
+        assert ("no-nir" in self.codes(replace(photographs, capture=capture), settings)) == noted
+
+    def test_unused_side_lights_are_noted_by_the_thesis_cases_alone(self, photographs, diagnosis):
+        band = photographs.bands[0]
+        side = replace(band, leds=band.leds[:3])
+        lit = replace(band, side=side)
+        capture = replace(photographs.capture, bands={"white": lit})
+        from_side = replace(photographs, capture=capture, bands=(lit,))
+        assert "side-unused" in self.codes(from_side, EA)
+        assert "side-unused" not in self.codes(from_side, METRIC)
+
+    def test_the_count_of_unused_lights_is_said(self):
+        finding = side_unused(3)
+        assert finding.code == "side-unused"
+        assert str(finding).startswith("the 3 white images")
+
+
+@pytest.fixture(scope="module")
+def surface(photographs):
+    return thesis_surface(photographs, EA)
+
+
+@pytest.fixture(scope="module")
+def result(photographs, surface):
+    return placed(photographs, surface, 0.0)
+
+
+class TestPlaced:
+    def test_fields_lie_in_the_window_of_the_full_picture(self, photographs, surface, result):
+        mask, window = photographs.finger.mask, photographs.finger.window
+        inside = mask[window]
+        for name in ("ridge_mm", "albedo"):
+            whole = getattr(result, name)
+            assert whole.dtype == np.float32
+            assert np.isnan(whole[~mask]).all()
+            np.testing.assert_array_equal(whole[window][inside], getattr(surface, name)[inside])
+        # a height above the plane is not known, so that only differences count
+        difference = (result.height_mm[window] - surface.height_mm)[inside]
+        assert np.ptp(difference) < 1e-5
+
+    def test_parts_sum_to_the_height(self, result):
+        mask = result.mask
+        np.testing.assert_allclose(
+            (result.shape_mm + result.ridge_mm)[mask], result.height_mm[mask], atol=1e-5
+        )
+
+    def test_vectors_are_zero_outside_without_negative_zeros(self, result):
+        for vectors in (result.normals, result.normals_measured):
+            assert vectors.dtype == np.float32
+            outside = vectors[~result.mask]
+            assert (outside == 0).all()
+            assert not np.signbit(outside).any()
+            np.testing.assert_allclose(
+                np.linalg.norm(vectors[result.mask], axis=-1), 1.0, atol=1e-5
+            )
+
+    def test_what_is_not_measured_is_none(self, photographs, surface):
+        bare = replace(surface, normals=None, colour=None, uncertainty_um=None)
+        result = placed(photographs, bare, 0.0)
+        assert result.normals_measured is None
+        assert result.colour is None
+        assert result.uncertainty_um is None
+
+    def test_colour_and_uncertainty_are_placed(self, photographs, surface):
+        shape = photographs.finger.inside.shape
+        known = replace(
+            surface,
+            colour=np.broadcast_to(np.float32(COLOUR), (*shape, 3)),
+            uncertainty_um=np.full(shape, 2.5, dtype=np.float32),
+        )
+        result = placed(photographs, known, 0.0)
+        np.testing.assert_allclose(
+            result.colour[result.mask], np.tile(COLOUR, (result.mask.sum(), 1)), rtol=1e-6
+        )
+        assert (result.uncertainty_um[result.mask] == 2.5).all()
+        assert np.isnan(result.uncertainty_um[~result.mask]).all()
+
+    def test_the_result_states_where_it_comes_from(self, photographs, surface):
+        picture = np.ones(photographs.finger.mask.shape, dtype=np.float32)
+        result = placed(replace(photographs, specular=picture), surface, 0.0)
+        assert result.specular is picture
+        assert result.whole == surface.whole
+        assert (result.pitch_mm, result.scale_known) == (1 / PX_PER_MM, True)
+        assert result.facts.items() >= {"material": "opaque", **surface.facts}.items()
+        assert result.upright_size == photographs.finger.upright.size
+        assert result.hashes == photographs.capture.hashes
+        assert (result.x_mm, result.y_mm) == (None, None)
+
+
+class TestMirrorShape:
+    def test_a_surface_kept_whole_has_no_place_for_it(self, photographs):
+        with pytest.raises(BadInput, match="keeps the visible surface whole"):
+            module.mirror_views(photographs.capture, EA)
+
+    @pytest.mark.parametrize(("settings", "detailed"), [(METRIC, True), (SNK, False)])
+    def test_the_relief_is_put_on_the_mirrors_shape(self, monkeypatch, settings, detailed):
+        photographs = dome()
+        shape = photographs.finger.inside.shape
+        surface = FingerSurface(
+            height_mm=np.full(shape, 3.0),
+            ridge_mm=np.full(shape, 0.5),
+            shape_mm=np.full(shape, 2.5),
+            albedo=np.ones(shape),
+            facts={"shape_source": "white", "heights": "measured"},
+            findings=(Finding("hollow", "a note."),),
+        )
+        smaller = photographs.finger.mask.copy()
+        smaller[:10] = False
+        details = []
+
+        def shape_of(finger, seen, detail_mm):
+            details.append(detail_mm)
+            return np.full(shape, 7.0), smaller, {"shape_source": "mirror"}
+
+        monkeypatch.setattr("splitknit.mirrors.captured.mirror_shape_of", shape_of)
+        seen = type("Seen", (), {"shape": type("Shape", (), {"findings": (Finding("a", "b."),)})})
+        mirrored = module.on_mirror_shape(photographs, surface, seen, settings)
+        assert (mirrored.height_mm == 7.5).all()
+        assert (mirrored.shape_mm == 7.0).all()
+        assert mirrored.facts == {"shape_source": "mirror", "heights": "measured"}
+        assert [finding.code for finding in mirrored.findings] == ["hollow", "a"]
+        assert photographs.finger.mask is smaller
+        assert (details[0] is not None) == detailed
