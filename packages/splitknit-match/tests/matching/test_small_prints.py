@@ -128,8 +128,10 @@ def test_answers_end_differently(templates, tmp_path: Path, capsys) -> None:
             main(["enroll", gallery, file[name], "--person", name, "--finger", "right_index"]) == 0
         )
     capsys.readouterr()
-    assert main(["identify", gallery, file["part"], "--fmr", "0.001", "--exit-code"]) == 0
+    assert main(["identify", gallery, file["part"], "--exit-code"]) == 0
     assert capsys.readouterr().out.startswith("Match: whole")
+    assert main(["identify", gallery, file["part"], "--fmr", "0.00005", "--exit-code"]) == 11
+    assert "leave --fmr out, or give a larger one" in capsys.readouterr().out
     assert main(["gallery", "remove", gallery, "--person", "whole"]) == 0
     capsys.readouterr()
     assert main(["identify", gallery, file["bit"], "--fmr", "0.001", "--exit-code"]) == 11

@@ -138,7 +138,7 @@ def test_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert fingerphoto(grey) is None
     assert fingerphoto(tmp_path / "none.jpg") is None
     assert read_fingerphoto(photo, PX_PER_MM).hashes.keys() == {"photo.jpg"}
-    assert main(["match", str(photo), str(photo), "--input-ppi", str(25.4 * PX_PER_MM)]) == 0
+    assert main(["match", str(photo), str(photo), "--resolution-ppi", str(25.4 * PX_PER_MM)]) == 0
     said = capsys.readouterr().out
     assert "photo.jpg: taken for a photograph of a finger" in said
     assert "photographs of" in said  # what false match rates were measured on

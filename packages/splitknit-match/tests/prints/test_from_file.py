@@ -109,7 +109,7 @@ def test_unmarked_prints_are_measured_and_asked_about(
         BadInput, match=r"does not state its resolution; .* fits (\d+) to (\d+) pixels"
     ) as refused:
         read_one_finger(file)
-    assert "\n" not in str(refused.value) and "`input_ppi` 500" in str(refused.value)
+    assert "\n" not in str(refused.value) and "`resolution_ppi` 500" in str(refused.value)
     said = [int(one) for one in re.findall(r"fits (\d+) to (\d+)", str(refused.value))[0]]
     np.testing.assert_allclose(said, [low, high], rtol=0.08)
     one = read_one_finger(file, 500 * scale)
@@ -202,10 +202,12 @@ def test_a_resolution_that_only_the_other_print_contradicts_gives_no_answer(tmp_
 def test_resolutions_of_screens_are_asked_about(tmp_path: Path) -> None:
     file = tmp_path / "scan.jpg"
     file.write_bytes(saved(spiral_print(), "JPEG", 72))
-    with pytest.raises(BadInput, match=r"states 72 ppi, too few for ridges; .* `input_ppi` 500"):
+    with pytest.raises(
+        BadInput, match=r"states 72 ppi, too few for ridges; .* `resolution_ppi` 500"
+    ):
         read_one_finger(file)
     file.write_bytes(saved(np.full((200, 200), 255, np.uint8), "PNG", None))
-    with pytest.raises(BadInput, match=r"no ridges to measure it by: .* `input_ppi` 500"):
+    with pytest.raises(BadInput, match=r"no ridges to measure it by: .* `resolution_ppi` 500"):
         read_one_finger(file)
     file.write_bytes(saved(spiral_print(), "PNG", 9000))
     with pytest.raises(BadInput, match="more than 5080"):

@@ -60,7 +60,7 @@ Positive = Annotated[float, Limits(0.0, above=True)]
 Preset = Literal["metric", "snk", "pr", "ea", "pr-split", "ea-split", "kumar", "zheng", "lin"]
 Encoding = Literal["linear", "srgb"]
 Device = Literal["cpu", "cuda", "auto"]
-InputPpi = Annotated[
+ResolutionPpi = Annotated[
     float | None,
     Parameter(
         help=(

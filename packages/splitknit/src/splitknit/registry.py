@@ -96,6 +96,8 @@ GONE: dict[str, str] = {
 }
 """Verbs that left, each with what to use instead, as one sentence."""
 
+GONE_OPTIONS = {"--input-ppi": "it is '--resolution-ppi' now, as in Python."}
+
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:
     """Names and objects (``module:name``) that are registered, by one distribution or by all that
@@ -133,6 +135,9 @@ def refusal(words: Sequence[str]) -> str:
     typed = " ".join(words) + " "
     for name, instead in GONE.items():
         if typed.startswith(f"{name} "):
+            return f"'{name}' left the program: {instead}"
+    for name, instead in GONE_OPTIONS.items():
+        if any(word.partition("=")[0] == name for word in words):
             return f"'{name}' left the program: {instead}"
     verb = next((word for word in words if not word.startswith("-")), "")
     if verb and verb not in VERBS and verb not in verbs_known():

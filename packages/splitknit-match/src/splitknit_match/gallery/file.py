@@ -16,7 +16,7 @@ import sqlite3
 import threading
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -121,12 +121,13 @@ class NewCapture:
     """What is put into a gallery."""
 
     entry: Entry
-    template: bytes
+    template: bytes = field(repr=False)
     """Payload (:func:`splitknit_match.matching.template.pack`), empty for a failure to acquire."""
 
 
-def check_person(text: str) -> str:
+def check_person(text: Any) -> str:
     """Return `text` in one normal form (NFC) if it can be a person's name. Raises BadInput."""
+    require(isinstance(text, str), f"a person's name is a text, not {text!r}.")
     name = unicodedata.normalize("NFC", text).strip()
     sound = 0 < len(name) <= MAX_NAME and name.isprintable()
     shown = text.encode("unicode_escape").decode("ascii")[:60]
@@ -137,11 +138,11 @@ def check_person(text: str) -> str:
     return name
 
 
-def check_session(text: str) -> str:
+def check_session(text: Any) -> str:
     """Return `text` if it can be a session's name."""
-    sound = re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None
+    sound = isinstance(text, str) and re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None
     expected = "up to 32 letters, digits, - and _ are expected, such as 1."
-    require(sound, f"{text[:60]!a} cannot be a session: {expected}")
+    require(sound, f"{str(text)[:60]!a} cannot be a session: {expected}")
     return text
 
 

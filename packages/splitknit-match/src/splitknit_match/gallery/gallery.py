@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from splitknit import BadInput, Capture, Reconstruction, read_capture
-from splitknit.arguments import AnyPath, Preset
+from splitknit.arguments import AnyPath, Natural, Preset, checked
 from splitknit.errors import require
 from splitknit.findings import Finding, Severity, worst_first
 from splitknit.io.provenance import file_hash
@@ -53,6 +53,7 @@ from splitknit_match.matching.methods import side_minutiae
 from splitknit_match.matching.template import mirrored
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
+from splitknit_match.threads import one_blas_thread
 
 Duplicates = Literal["refuse", "warn", "allow"]
 _NOT_INPUTS = ("truth.npz", ".splitknit")
@@ -68,7 +69,7 @@ class Enrolling:
     """Whether a capture takes the place of another of the same names."""
     with_time: bool = False
     """Whether the time of enrolment is kept."""
-    input_ppi: float | None = None
+    resolution_ppi: float | None = None
     """Resolution of prints whose files do not state it."""
     where: PhotoFinger = field(default_factory=PhotoFinger)
     """Which finger of a photograph."""
@@ -125,12 +126,12 @@ class Made:
     """What becomes a row of a gallery, but for the names."""
 
     kind: str
-    template: bytes
+    template: bytes = field(repr=False)
     area_mm2: float
     source_sha256: str
     failure: str = ""
     findings: tuple[Finding, ...] = ()
-    side: Side | None = None
+    side: Side | None = field(default=None, repr=False)
     """What is compared of it."""
 
 
@@ -152,16 +153,16 @@ class Gallery(GalleryFile):
     ...     gallery.remove("Ann", "right_index")
     """
 
+    @checked
     def identify(
         self,
         probe: Finger,
         *,
-        top: int = 10,
+        top: Natural = 10,
         person: str | None = None,
         finger: str | None = None,
-        fmr: float = 1e-4,
+        fmr: float | None = None,
         merge: Merge = "person",
-        input_ppi: float | None = None,
         resolution_ppi: float | None = None,
         preset: Preset = "metric",
         progress: Progress = no_progress,
@@ -169,7 +170,7 @@ class Gallery(GalleryFile):
         """Who is it? Arguments, and what is raised, as of :func:`splitknit_match.identify`."""
 
         def read(progress: Progress) -> Side:
-            return read_side(held(probe, resolution_ppi), preset, progress, input_ppi)
+            return read_side(held(probe, resolution_ppi), preset, progress, resolution_ppi)
 
         return identify_finger(
             self,
@@ -182,6 +183,8 @@ class Gallery(GalleryFile):
             progress=progress,
         )
 
+    @checked
+    @one_blas_thread()
     def enroll(
         self,
         finger_of: Finger | Sequence[Finger],
@@ -207,8 +210,12 @@ class Gallery(GalleryFile):
             f"`duplicates` is refuse, warn or allow, not '{duplicates}'.",
         )
         how = how or Enrolling()
+        ppi = how.resolution_ppi if resolution_ppi is None else resolution_ppi
         given: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
-        sources = [held(source, resolution_ppi) for source in given]
+        sources = [held(source, ppi) for source in given]
+        if any(isinstance(source, Pixels) for source in sources):
+            ppi = None  # beside arrays it is theirs
+        how = replace(how, resolution_ppi=ppi)
         kinds = "a capture, a result, a template (.skt), a print or a record of minutiae"
         require(sources, f"name {kinds} to enrol.")
         single = len(sources) == 1 or session is None
@@ -285,7 +292,7 @@ def enroll(
     key : path, optional
         File with the key of an encrypted gallery.
     resolution_ppi : float, optional
-        Pixels per inch of arrays.
+        Pixels per inch of arrays; where none is an array, of the files.
     duplicates : {"refuse", "warn", "allow"}
         What to do about one that matches another person's (of the person's own fingers it is only
         said), at a false match rate of 1 in 10,000 a comparison: refuse it, report it (the
@@ -488,7 +495,7 @@ def made_of(
 ) -> Made:
     """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be
     reconstructed."""
-    side = undoubted(read_side(path, how.preset, progress, how.input_ppi, where=how.where))
+    side = undoubted(read_side(path, how.preset, progress, how.resolution_ppi, where=how.where))
     minutiae = side_minutiae(side) if of_minutiae else side.minutiae
     compared = replace(side, surface=None, picture=None, minutiae=minutiae)
     if of_minutiae:

@@ -27,6 +27,7 @@ from splitknit_match.gallery.parameters import ALL_PRINTS, NEAREST
 from splitknit_match.matching.fusion import fused_match, with_fusion
 from splitknit_match.matching.inputs import Side
 from splitknit_match.matching.methods import (
+    check_rate,
     fmr_basis,
     rate,
     reason,
@@ -35,6 +36,7 @@ from splitknit_match.matching.methods import (
     side_minutiae,
     similarity_at,
 )
+from splitknit_match.matching.parameters import DECIDED_AT
 from splitknit_match.matching.results import (
     ComparedSide,
     FmrBasis,
@@ -49,6 +51,7 @@ from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import Template
 from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
+from splitknit_match.threads import one_blas_thread
 
 TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7bc"
 """Of all that a template of ridges follows from; templates of one gallery agree in it."""
@@ -146,13 +149,14 @@ class _Comparison:
     """Similarity of minutiae alone."""
     overlap_mm2: float | None = None
 
-    def rated(self, table: str, area_mm2: float, fmr: float) -> Rated:
+    def rated(self, table: str, area_mm2: float, fmr: float | None) -> Rated:
         """By the impostors of what was compared: area and minutiae."""
         areas = area_mm2, self.entry.area_mm2
         scores = table if table == "minutiae_of_prints" else scores_of(table, areas, self.minutiae)
         return rate(self.similarity, scores, self.overlap_mm2, fmr)
 
 
+@one_blas_thread()
 def identify_finger(
     gallery: GalleryFile,
     read: Callable[[Progress], Side],
@@ -160,7 +164,7 @@ def identify_finger(
     top: int = 10,
     person: str | None = None,
     finger: str | None = None,
-    fmr: float = 1e-4,
+    fmr: float | None = None,
     merge: Merge = "person",
     progress: Progress = no_progress,
 ) -> Identification:
@@ -170,7 +174,7 @@ def identify_finger(
     `read`: reads the probe, once all else is known to be sound.
     """
     require(top >= 1, f"`top` must be at least 1, but it is {top}.")
-    require(0 < fmr < 1, f"`fmr` must lie between 0 and 1, but it is {fmr:g}.")
+    check_rate(fmr)
     require(merge in _MERGED, f"`merge` must be one of {', '.join(_MERGED)}, but it is {merge!r}.")
     person = None if person is None else check_person(person)
     finger = None if finger is None else known_finger(finger)
@@ -180,8 +184,8 @@ def identify_finger(
         people.settings_sha256, MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH
     )
     entries = people.of(person, finger)
-    # refused here, before anything is made, where no such rate was measured
-    similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
+    if fmr is not None:  # refused here, before anything is made, where no such rate was measured
+        similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
 
     def reading(stage: str, fraction: float) -> None:
         progress(stage, 0.5 * fraction)
@@ -246,13 +250,15 @@ def identify_finger(
 
 
 def _decided(
-    rated: Sequence[Rated], table: str, fmr: float, captures: int
+    rated: Sequence[Rated], table: str, fmr: float | None, captures: int
 ) -> tuple[SearchDecision | None, str | None]:
     """Decision on the best candidate, or why there is none."""
     if rated and rated[0].decision is None:
         return None, rated[0].undecided
     decision = rated[0].decision if rated else None
-    decision = decision or MatchDecision(False, fmr, similarity_at(fmr, table))
+    if decision is None:
+        fmr = fmr or max(DECIDED_AT, fmr_basis(table).smallest)
+        decision = MatchDecision(False, fmr, similarity_at(fmr, table))
     return (
         SearchDecision(
             decision.match,

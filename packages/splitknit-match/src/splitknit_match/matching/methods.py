@@ -438,7 +438,10 @@ def rate(
     rated = Rated(fmr=table(similarity - table.rounding), fmr_basis=table.basis)
     at = max(DECIDED_AT, table.smallest) if fmr is None else fmr
     if at < table.smallest and scores == "windows":
-        why = f"on small prints false match rates below {table.smallest:.2g} were not measured"
+        why = (
+            f"on small prints false match rates below {table.smallest:.2g} were not measured;"
+            " leave `fmr` out, or give a larger one"
+        )
         return replace(rated, undecided=why)
     threshold = table.threshold(at)
     match = similarity >= threshold
@@ -451,6 +454,12 @@ def rate(
     expected = table.beyond(at)[1] if at < table.smallest else None
     decision = MatchDecision(match, at, threshold, expected)
     return replace(rated, decision=decision, answer="match" if match else "no match")
+
+
+def check_rate(fmr: Any) -> None:
+    """Raise BadInput if the rate at which is to be decided is none."""
+    sound = fmr is None or (isinstance(fmr, int | float) and 0 < fmr < 1)
+    require(sound, f"`fmr` must lie between 0 and 1, but it is {fmr!r}.")
 
 
 def fmr_basis(method: str = "ridge") -> FmrBasis:

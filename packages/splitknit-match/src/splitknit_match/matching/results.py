@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from splitknit.arguments import text_of
@@ -175,9 +175,9 @@ class TemplateMade:
     a: ComparedSide
     template: TemplateFile | None
     """The file, where one was written."""
-    payload: bytes | None = None
-    """The template itself, which `match`, `identify` and `enroll` take; no bytes for a failure to
-    acquire."""
+    payload: bytes | None = field(default=None, repr=False)
+    """What a `.skt` file holds, which `match`, `identify` and `enroll` take; no bytes for a failure
+    to acquire."""
     findings: tuple[Finding, ...] = ()
     """What was assumed of the finger, worst first."""
 
