@@ -3,6 +3,7 @@ tomorrow."""
 
 from splitknit_match.evaluation.evaluate import evaluate as evaluate
 from splitknit_match.evaluation.pair import compare_results as compare_results
+from splitknit_match.gallery.candidates import Candidates as Candidates
 from splitknit_match.gallery.gallery import Enrolment as Enrolment
 from splitknit_match.gallery.gallery import Gallery as Gallery
 from splitknit_match.gallery.gallery import enroll as enroll
@@ -16,6 +17,7 @@ from splitknit_match.prints.verbs import make_print as make_print
 __version__: str
 
 __all__ = [
+    "Candidates",
     "Enrolment",
     "Gallery",
     "Identification",

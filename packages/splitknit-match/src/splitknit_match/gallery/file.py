@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
 import os
 import re
 import select
@@ -33,6 +34,8 @@ from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.minutia_index import CaptureMinutiae, MinutiaIndex
+
+_log = logging.getLogger(__name__)
 
 APPLICATION_ID = 0x534B4741
 """``SKGA``, in the header of the file. Source: definition of the format."""
@@ -140,10 +143,10 @@ def check_person(text: Any) -> str:
 
 def check_session(text: Any) -> str:
     """Return `text` if it can be a session's name."""
-    sound = isinstance(text, str) and re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None
+    sound = re.fullmatch(r"[A-Za-z0-9_-]{1,32}", session := str(text)) is not None
     expected = "up to 32 letters, digits, - and _ are expected, such as 1."
-    require(sound, f"{str(text)[:60]!a} cannot be a session: {expected}")
-    return text
+    require(sound, f"{session[:60]!a} cannot be a session: {expected}")
+    return session
 
 
 def known_finger(finger: str) -> str:
@@ -450,10 +453,17 @@ class GalleryFile:
             last()
         return new
 
-    def remove(self, person: str, finger: str | None = None, session: str | None = None) -> int:
+    def remove(
+        self,
+        person: str,
+        finger: str | None = None,
+        session: str | None = None,
+        *,
+        last: Callable[[], object] = lambda: None,
+    ) -> int:
         """Remove captures so that nothing of them remains in the file; return how many there were.
 
-        Raises BadInput if there are none.
+        `last`: as of :meth:`add`. Raises BadInput if there are none.
         """
         with self._changing() as database:
             removed = _delete(database, check_person(person), finger, session)
@@ -465,6 +475,8 @@ class GalleryFile:
                 " in it."
             )
             require(removed > 0, missing)
+            last()
+        _log.info("removed %d captures", removed)
         return removed
 
     # The file.
@@ -511,6 +523,7 @@ class GalleryFile:
             except BaseException:
                 if not there and not self.there:  # it appears with its first finger, or not at all
                     self.path.unlink(missing_ok=True)
+                    self._was_there = False
                 raise
 
     def _erase(self, database: Any) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -54,6 +55,8 @@ from splitknit_match.matching.template import mirrored
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.threads import one_blas_thread
+
+_log = logging.getLogger(__name__)
 
 Duplicates = Literal["refuse", "warn", "allow"]
 _NOT_INPUTS = ("truth.npz", ".splitknit")
@@ -153,6 +156,11 @@ class Gallery(GalleryFile):
     ...     gallery.remove("Ann", "right_index")
     """
 
+    def check(self) -> GalleryContent:
+        """What it holds, once all of it could be read. Raises BadInput if it cannot be used."""
+        self.people()
+        return content_of(self, created=False)
+
     @checked
     def identify(
         self,
@@ -250,10 +258,15 @@ class Gallery(GalleryFile):
         sides = [one.side for one in made if one.side is not None]
         review = _Review(self, sides, (person, finger), duplicates)
         review.look()  # the first look may take long, and holds nobody up
+
+        def last() -> None:
+            progress("done", 1.0)
+            put_down()
+
         added = self.add(
-            captures, settings_sha256, replaces=how.replace, first=review.look, last=put_down
+            captures, settings_sha256, replaces=how.replace, first=review.look, last=last
         )
-        progress("done", 1.0)
+        _log.info("enrolled %d captures, %d of them new", len(added), sum(added))
         enrolled = [
             _enrolled(capture, is_new) for capture, is_new in zip(captures, added, strict=True)
         ]

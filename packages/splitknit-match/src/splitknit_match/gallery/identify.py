@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -58,6 +60,7 @@ TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7
 MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})
 """What galleries that keep minutiae have in place of :data:`TEMPLATES_HASH`."""
 
+_log = logging.getLogger(__name__)
 
 Merge = Literal["person", "finger", "none"]
 _MERGED = {"person": 1, "finger": 2, "none": 3}
@@ -156,7 +159,6 @@ class _Comparison:
         return rate(self.similarity, scores, self.overlap_mm2, fmr)
 
 
-@one_blas_thread()
 def identify_finger(
     gallery: GalleryFile,
     read: Callable[[Progress], Side],
@@ -173,16 +175,43 @@ def identify_finger(
 
     `read`: reads the probe, once all else is known to be sound.
     """
-    require(top >= 1, f"`top` must be at least 1, but it is {top}.")
-    check_rate(fmr)
-    require(merge in _MERGED, f"`merge` must be one of {', '.join(_MERGED)}, but it is {merge!r}.")
     person = None if person is None else check_person(person)
-    finger = None if finger is None else known_finger(finger)
     people = gallery.people(person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
     gallery.require_comparable(
         people.settings_sha256, MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH
     )
+    return identify_among(
+        people,
+        read,
+        top=top,
+        person=person,
+        finger=finger,
+        fmr=fmr,
+        merge=merge,
+        progress=progress,
+    )
+
+
+@one_blas_thread()
+def identify_among(
+    people: People,
+    read: Callable[[Progress], Side],
+    *,
+    top: int = 10,
+    person: str | None = None,
+    finger: str | None = None,
+    fmr: float | None = None,
+    merge: Merge = "person",
+    progress: Progress = no_progress,
+) -> Identification:
+    """As :func:`identify_finger`, among what is in memory."""
+    started = time.perf_counter()
+    require(top >= 1, f"`top` must be at least 1, but it is {top}.")
+    check_rate(fmr)
+    require(merge in _MERGED, f"`merge` must be one of {', '.join(_MERGED)}, but it is {merge!r}.")
+    finger = None if finger is None else known_finger(finger)
+    of_minutiae = people.settings_sha256 == MINUTIAE_HASH
     entries = people.of(person, finger)
     if fmr is not None:  # refused here, before anything is made, where no such rate was measured
         similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
@@ -194,7 +223,7 @@ def identify_finger(
     probe = side_minutiae(side) if of_minutiae else side.template
     if probe is None:
         cure = "name a print, or enrol minutiae"
-        raise BadInput(f"{side.path} holds minutiae, but '{gallery.path}' keeps ridges; {cure}.")
+        raise BadInput(f"{side.path} holds minutiae, but '{people.path}' keeps ridges; {cure}.")
     acquired = probe.acquired if isinstance(probe, Minutiae) else not probe.empty
     area_mm2 = 0.0 if isinstance(probe, Minutiae) else probe.area_mm2
 
@@ -230,9 +259,11 @@ def identify_finger(
     if not acquired and doubt is None:
         answer, undecided = "not acquired", "failure to acquire"
     basis = rated[0].fmr_basis if rated else fmr_basis(table)
+    seconds = time.perf_counter() - started
+    _log.info("searched %d captures in %.2f s: %s", searched.captures, seconds, answer)
     progress("done", 1.0)
     return Identification(
-        gallery=str(gallery.path),
+        gallery=str(people.path),
         probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired),
         mode="identification" if person is None else "verification",
         person=person,

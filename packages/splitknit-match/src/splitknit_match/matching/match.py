@@ -146,8 +146,8 @@ def match(
     result = compare_sides(
         by, left, right, fmr=fmr, own=own, thesis=thesis, known_scale=file_ppi is not None
     )
-    written = write_template_file(target, left)
     progress("done", 1.0)
+    written = write_template_file(target, left)
     return replace(result, template=written)
 
 
@@ -207,8 +207,8 @@ def make_template(
     source, target = held(finger, resolution_ppi), None if template is None else Path(template)
     check_template_file(target, source)
     side = read_side(source, preset, progress, resolution_ppi, where=PhotoFinger(mask, box))
-    written = write_template_file(target, side)
     progress("done", 1.0)
+    written = write_template_file(target, side)
     payload = encode_template(undoubted(side).payload, VERSION)
     return TemplateMade(compared_side(side), written, payload, template_findings(side))
 
