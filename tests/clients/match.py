@@ -31,7 +31,6 @@ def printed(result: str) -> None:
 
 def wrong() -> None:
     splitknit_match.match("a", "b", methods="ridges")  # type: ignore[call-arg]
-    splitknit_match.match("a", "b", method="voted")  # type: ignore[arg-type]
     splitknit_match.identify("g.skg", "probe", tops=3)  # type: ignore[call-arg]
     splitknit_match.make_print("result").picture  # type: ignore[attr-defined]
 

@@ -4,14 +4,15 @@ points.
 An entry point of the group ``splitknit.verbs`` has the verb as its name (``match``, ``calibrate
 camera``) and names a function: its signature and docstring make the options and the help. The group
 ``splitknit.imports`` extends a verb of the core, ``splitknit.devices`` names what ``capture``
-photographs with. The module imports next to nothing, so that ``splitknit --help`` is quick.
+photographs with, ``splitknit.matchers`` and ``splitknit.presets`` name what others add. The module
+imports next to nothing, so that ``splitknit --help`` is quick.
 """
 
 from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from typing import Any
 
 GROUP = "splitknit.verbs"
@@ -168,3 +169,17 @@ def not_installed(what: str, distribution: str) -> str:
     """One sentence on what is missing, and the command that adds it."""
     how = f"add it, in splitknit's folder, with 'pip install ./packages/{distribution}'."
     return f"{what} comes with {distribution}, which is not installed; {how}"
+
+
+def own_object(kind: str, name: str, known: Iterable[str]) -> Any:
+    """Somebody's own matcher or preset: an entry point of ``splitknit.matchers`` or
+    ``splitknit.presets``, or named as MODULE:NAME. Raises BadInput."""
+    from pkgutil import resolve_name
+
+    from splitknit.errors import refusing, require
+
+    value = registered(f"splitknit.{kind}s").get(name, name)
+    cure = f"known are {', '.join(known)}, and your own as MODULE:NAME."
+    require(":" in value, f"there is no {kind} '{name}'; {cure}")
+    with refusing(f"the {kind} '{name}' cannot be imported; is its module on PYTHONPATH?"):
+        return resolve_name(value)

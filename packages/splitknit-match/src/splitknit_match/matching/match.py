@@ -32,7 +32,7 @@ else:
     Finger = AnyPath
     Match = TemplateMade = Any
 
-Method = Literal["auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae"]
+Method = Literal["auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae"] | str
 
 
 @checked
@@ -59,6 +59,8 @@ def match(
     a, b : path, array (H, W) uint8, bytes of a template, Reconstruction or Capture
         See :func:`match_or_make_template`.
     method : {"auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae"}, optional
+        Or your own: an entry point of ``splitknit.matchers``, or ``module:function``, called with
+        two prints (H, W) uint8 at 500 ppi, ridges dark; it returns the similarity.
     preset : str, optional
         How captures are reconstructed.
     settings : mapping, optional
@@ -244,7 +246,8 @@ def match_or_make_template(
         auto (the default: fusion of two prints, minutiae where one holds minutiae only, else
         ridge), ridge, fusion (of ridges and minutiae of two prints), thesis (local binary patterns;
         needs captures or results), thesis-code (as the author's program has them), minutiae (of the
-        prints, compared by NIST's bozorth3; needs the extra minutiae, on x86-64 Linux).
+        prints, compared by NIST's bozorth3; needs the extra minutiae, on x86-64 Linux), or your own
+        MODULE:FUNCTION.
     preset
         How captures are reconstructed.
     fmr

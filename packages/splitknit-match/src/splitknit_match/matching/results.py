@@ -279,7 +279,8 @@ def _number(match: Match, score: float) -> str:
 
 
 def _score(match: Match) -> str:
-    return f"{_number(match, match.similarity)} ({_SCALES[match.method]})"
+    scale = _SCALES.get(match.method, "higher is more similar")
+    return f"{_number(match, match.similarity)} ({scale})"
 
 
 def _how(match: Match) -> list[str]:
