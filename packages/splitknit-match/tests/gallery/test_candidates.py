@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 from pathlib import Path
 
@@ -75,3 +76,15 @@ def test_raising_in_progress_leaves_nothing(templates, tmp_path: Path, caplog) -
     words = " ".join(caplog.messages)
     assert "enrolled 1 captures" in words and "match" in words and "removed 1" in words
     assert "Ann" not in words
+
+
+def test_the_example_of_an_own_database(capsys) -> None:
+    """Against SQLite in memory; PostgreSQL differs in the URL alone."""
+    pytest.importorskip("sqlalchemy")
+    path = Path(__file__).parents[4] / "examples" / "own_database.py"
+    spec = importlib.util.spec_from_file_location("own_database", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.main(["sqlite://"]) == 0
+    assert capsys.readouterr().out == "Bob of 2 customers\n"
