@@ -1,4 +1,4 @@
-"""Templates as rows of a program's own database, searched in memory; the database holds no pictures.
+"""Templates as rows of a program's own database, searched in memory: it keeps no pictures.
 
     pip install sqlalchemy psycopg
     python examples/own_database.py postgresql+psycopg://shop@localhost/shop

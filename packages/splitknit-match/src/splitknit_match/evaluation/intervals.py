@@ -110,8 +110,8 @@ def differences(
     """Figures of `first` minus figures of `second`, which scored the same pairs in the same order.
     Both get the same replicates, so that what is hard for both cancels; a difference is beyond
     chance where its interval leaves out zero. Where few fingers tell both apart, the limit is that
-    of single figures: of 12 fingers none of which does, up to 3 / 12 either way. Raises BadInput if the systems differ in number or
-    labels, or `method` lacks its ids.
+    of single figures: of 12 fingers none of which does, up to 3 / 12 either way. Raises BadInput if
+    the systems differ in number or labels, or `method` lacks its ids.
     """
     same = np.array_equal(first.label, second.label)
     require(
