@@ -175,6 +175,7 @@ def identify_finger(
 
     `read`: reads the probe, once all else is known to be sound.
     """
+    _check(top, finger, fmr, merge)
     person = None if person is None else check_person(person)
     people = gallery.people(person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
@@ -207,10 +208,7 @@ def identify_among(
 ) -> Identification:
     """As :func:`identify_finger`, among what is in memory."""
     started = time.perf_counter()
-    require(top >= 1, f"`top` must be at least 1, but it is {top}.")
-    check_rate(fmr)
-    require(merge in _MERGED, f"`merge` must be one of {', '.join(_MERGED)}, but it is {merge!r}.")
-    finger = None if finger is None else known_finger(finger)
+    _check(top, finger, fmr, merge)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
     entries = people.of(person, finger)
     if fmr is not None:  # refused here, before anything is made, where no such rate was measured
@@ -278,6 +276,14 @@ def identify_among(
         undecided=undecided,
         findings=worst_first([*side.findings, *findings]),
     )
+
+
+def _check(top: int, finger: str | None, fmr: float | None, merge: str) -> None:
+    require(top >= 1, f"`top` must be at least 1, but it is {top}.")
+    check_rate(fmr)
+    require(merge in _MERGED, f"`merge` must be one of {', '.join(_MERGED)}, but it is {merge!r}.")
+    if finger is not None:
+        known_finger(finger)
 
 
 def _decided(
