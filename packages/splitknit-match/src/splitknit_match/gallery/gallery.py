@@ -51,6 +51,7 @@ from splitknit_match.matching.inputs import (
 )
 from splitknit_match.matching.match import Finger
 from splitknit_match.matching.methods import side_minutiae
+from splitknit_match.matching.results import one_in
 from splitknit_match.matching.template import mirrored
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
@@ -308,9 +309,9 @@ def enroll(
         Pixels per inch of arrays; where none is an array, of the files.
     duplicates : {"refuse", "warn", "allow"}
         What to do about one that matches another person's (of the person's own fingers it is only
-        said), at a false match rate of 1 in 10,000 a comparison: refuse it, report it (the
-        default), or not look. Of more than 200 captures those whose minutiae agree best are
-        compared, so that about 1 in 100 such fingers is missed.
+        said), at a false match rate of 1 in 10,000 a comparison (of small prints at the smallest
+        measured): refuse it, report it (the default), or not look. Of more than 200 captures those
+        whose minutiae agree best are compared, so that about 1 in 100 such fingers is missed.
     how : Enrolling, optional
         Preset, settings and what is kept.
     progress : callable, optional
@@ -385,10 +386,11 @@ class _Review:
             and (candidate.person, candidate.finger) != self.names
         ]
         others = [candidate for candidate in alike if candidate.person != self.names[0]]
-        if others and self.duplicates == "refuse":
+        if others and decision is not None and self.duplicates == "refuse":
             whose = f"{others[0].finger.replace('_', ' ')} of another person, '{others[0].person}'"
             raise BadInput(
-                f"{side.path} matches {whose}, at a false match rate of 1 in 10,000 a comparison;"
+                f"{side.path} matches {whose}, at a false match rate of {one_in(decision.fmr)} a"
+                " comparison;"
                 " enrol it under that name, or give `duplicates` allow."
             )
         return alike
