@@ -73,9 +73,10 @@ def main(arguments: list[str] | None = None) -> int:
     for name, words in (("eer", "equal error rate"), ("gar@0.01", "GAR at FAR 1 %")):
         one = found.figures[name]
         print(f"{words}: {100 * one.value:.1f} % [{100 * one.low:.1f}, {100 * one.high:.1f}]")
+    band = found.curve_far, found.curve_low, found.curve_high
     if options.out is not None:
         (options.out / "roc.svg").write_bytes(
-            chart(lambda ax: draw_roc(ax, [("ridges", scores, None)]))
+            chart(lambda ax: draw_roc(ax, [("ridges", scores, band)]))
         )
     return 0
 
