@@ -296,7 +296,7 @@ def test_one_finger_under_two_names(prints, tmp_path: Path) -> None:
     assert quiet.alike == () and quiet.content.captures == 3
     same = splitknit_match.enroll(file, press(1, -3), "ivy", "left_thumb", resolution_ppi=PPI)
     assert {one.person for one in same.alike} == {"ann", "eve"}
-    with pytest.raises(BadInput, match="refuse, warn or allow"):
+    with pytest.raises(BadInput, match="one of refuse, warn, allow"):
         splitknit_match.enroll(
             file, prints["ann"], "x", "left_thumb", resolution_ppi=PPI, duplicates="maybe"
         )

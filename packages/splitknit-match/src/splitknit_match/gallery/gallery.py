@@ -214,10 +214,6 @@ class Gallery(GalleryFile):
         log; what it raises undoes it. A source other than a template from which nothing was
         acquired is refused.
         """
-        require(
-            duplicates in ("refuse", "warn", "allow"),
-            f"`duplicates` is refuse, warn or allow, not '{duplicates}'.",
-        )
         how = how or Enrolling()
         ppi = how.resolution_ppi if resolution_ppi is None else resolution_ppi
         given: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
