@@ -24,7 +24,11 @@ def _libraries() -> Any:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limit BLAS to one thread until the last of the calls that run at the same time ends."""
+    """Limit BLAS to one thread until the last of the calls that run at the same time ends.
+
+    OpenBLAS takes a change from the thread alone that began it: where another one ends last, the
+    limit stays.
+    """
     if os.environ.get("OPENBLAS_NUM_THREADS") == "1":
         yield
         return
