@@ -20,7 +20,7 @@ LOCK_ARGS ?=
 # the member of each extra
 $(foreach name,mesh photos,$(eval OF_$(name) := splitknit[$(name)]))
 $(eval OF_capture := splitknit-rig[capture])
-$(foreach name,cluster encrypt minutiae pad plot records,$(eval OF_$(name) := splitknit-match[$(name)]))
+$(foreach name,cluster encrypt minutiae pad plot records serve,$(eval OF_$(name) := splitknit-match[$(name)]))
 comma := ,
 wanted := $(subst $(comma), ,$(EXTRAS))
 

@@ -76,9 +76,10 @@ def main(arguments: list[str] | None = None) -> int:
         print(
             f"{words}: {100 * figure.value:.1f} % [{100 * figure.low:.1f}, {100 * figure.high:.1f}]"
         )
+    band = intervals.curve_far, intervals.curve_low, intervals.curve_high
     if options.out is not None:
         (options.out / "roc.svg").write_bytes(
-            chart(lambda ax: draw_roc(ax, [("ridges", scores, None)]))
+            chart(lambda ax: draw_roc(ax, [("ridges", scores, band)]))
         )
     return 0
 

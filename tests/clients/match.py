@@ -31,6 +31,17 @@ def printed(result: str) -> None:
 
 def wrong() -> None:
     splitknit_match.match("a", "b", methods="ridges")  # type: ignore[call-arg]
-    splitknit_match.match("a", "b", method="voted")  # type: ignore[arg-type]
     splitknit_match.identify("g.skg", "probe", tops=3)  # type: ignore[call-arg]
     splitknit_match.make_print("result").picture  # type: ignore[attr-defined]
+
+
+def sign_in(photograph: str, gallery: splitknit_match.Gallery) -> splitknit_match.Identification:
+    """OpenCV's arrays, and every result has a type."""
+    picture = cv2.imread(photograph, cv2.IMREAD_GRAYSCALE)
+    assert picture is not None
+    comparison: splitknit_match.Match = splitknit_match.match(picture, picture, resolution_ppi=500)
+    assert comparison.answer
+    enrolment: splitknit_match.Enrolment
+    enrolment = gallery.enroll(picture, "Ann", "right_index", resolution_ppi=500)
+    assert enrolment.enrolled
+    return gallery.identify(picture, resolution_ppi=500)

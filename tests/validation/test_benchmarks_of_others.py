@@ -147,7 +147,14 @@ def test_surfaces_against_prints(
     ]
     assert (
         run.main(
-            ["prints", *sets, "--against-pattern", "{finger}-{sample}.png", "--input-ppi", "500"]
+            [
+                "prints",
+                *sets,
+                "--against-pattern",
+                "{finger}-{sample}.png",
+                "--resolution-ppi",
+                "500",
+            ]
         )
         == 0
     )

@@ -226,7 +226,7 @@ def prints(
             for number, (key, path) in enumerate(side.items()):
                 template = Path(scratch) / f"{k}-{number}.skt"
                 try:
-                    make_template(path, template, input_ppi=ppi)
+                    make_template(path, template, resolution_ppi=ppi)
                     templates[k][key] = template
                 except BadInput as error:
                     missing.add(f"{path.name}: {error}")
@@ -274,7 +274,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--against", type=Path, help="of prints: the other set")
     parser.add_argument("--against-pattern")
     parser.add_argument(
-        "--input-ppi", type=float, help="of prints: resolution where files do not state it"
+        "--resolution-ppi", type=float, help="of prints: resolution where files do not state it"
     )
     parser.add_argument("--json", type=Path)
     options = parser.parse_args(arguments)
@@ -287,7 +287,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     options.pattern,
                     options.against,
                     options.against_pattern,
-                    options.input_ppi,
+                    options.resolution_ppi,
                 )
             )
             print(json.dumps(rows[0]))

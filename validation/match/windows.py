@@ -31,7 +31,7 @@ from scipy.stats import binomtest
 
 from splitknit_match.matching import fusion
 from splitknit_match.matching.fusion import fused_match
-from splitknit_match.matching.methods import REAL_PRINTS, TABLES
+from splitknit_match.matching.methods import TABLES
 from splitknit_match.matching.parameters import SMALL_MM2
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import calibrate_scores
@@ -367,7 +367,7 @@ def table_of(impostor: NDArray[np.float64], what: str, **more: float) -> dict[st
 
 
 def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants) -> None:
-    """Figures, and the tables that the matcher ships; constants are copied by hand into
+    """Figures, and the table of small prints that the matcher ships; constants are copied by hand into
     ``matching/fusion.py``."""
     score = scored(rows, constants)
     same = rows[:, 3] == 1
@@ -376,9 +376,6 @@ def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants
     what = "windows of 16 to 100 mm² of real prints of seven sensors"
     made_ = table_of(score[part], what, rated_mm2=RATED_MM2, excluded_mm2=EXCLUDED_MM2)
     (FOLDER / TABLES["windows"]).write_text(json.dumps(made_, indent=1) + "\n", encoding="utf-8")
-    part = (rows[:, 0] == PRINTS) & ~small & ~same
-    made_ = table_of(score[part], "pairs of real prints of seven sensors")
-    (FOLDER / REAL_PRINTS).write_text(json.dumps(made_, indent=1) + "\n", encoding="utf-8")
     document = {
         "fitted": {
             "overlap": constants.overlap.tolist(),

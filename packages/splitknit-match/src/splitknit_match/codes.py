@@ -15,7 +15,7 @@ CODES: dict[str, Code] = {
     # prints and photographs that are read
     "odd-resolution": Code(
         "Ridges lie oddly far apart, or close, at the stated resolution.",
-        "Give the true resolution (`--input-ppi`).",
+        "Give the true resolution (`--resolution-ppi`).",
         "0 of 280 real prints (validation/prints/any_print.py)",
     ),
     "white-ridges": Code(
@@ -39,7 +39,7 @@ CODES: dict[str, Code] = {
     ),
     "fingerphoto": Code(
         "A picture was taken for a photograph of a finger; how its scale is known.",
-        "Give `--px-per-mm` (of `match`: `--input-ppi`), or choose another finger (`--box`).",
+        "Give `--px-per-mm` (of `match`: `--resolution-ppi`), or choose another finger (`--box`).",
     ),
     "fingerphoto-quality": Code(
         "The percentage of a photographed finger with clear ridges.",

@@ -251,7 +251,7 @@ def test_prints_without_ridges_are_failures_to_acquire(tmp_path: Path, capsys) -
     ("command", "refusal"),
     [
         ("export bare.png --to wsq", "does not state its resolution"),
-        ("export a.png bare.png --to iso-19794-2", "--input-ppi 500"),
+        ("export a.png bare.png --to iso-19794-2", "--resolution-ppi 500"),
         ("export a.iso --to wsq", "holds minutiae and no picture"),
         ("export NOWHERE --to wsq", "there is no 'NOWHERE'"),
         ("export . --to wsq", "is not a capture"),
@@ -265,7 +265,7 @@ def test_prints_without_ridges_are_failures_to_acquire(tmp_path: Path, capsys) -
         ("import a.png --images .", "one after the other"),
         ("import a.png --lights a.png", "goes with --images"),
         ("print a.iso", "no picture to print"),
-        ("print bare.png", "--input-ppi 500"),
+        ("print bare.png", "--resolution-ppi 500"),
     ],
 )
 def test_bad_input_is_one_sentence_and_writes_nothing(  # noqa: PLR0917

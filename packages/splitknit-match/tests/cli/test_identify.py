@@ -169,3 +169,8 @@ def test_bad_input_is_one_sentence(
 ) -> None:
     names = {"GALLERY": gallery, "PROBE": probe, "NOWHERE": tmp_path / "NOWHERE"}
     assert words in refusal_of(capsys, "identify", *(names.get(word, word) for word in arguments))
+
+
+def test_the_old_name_of_resolution_is_refused(gallery: Path, probe: Path, capsys) -> None:
+    words = refusal_of(capsys, "identify", gallery, probe, "--input-ppi", "500")
+    assert "'--input-ppi' left the program: it is '--resolution-ppi' now" in words

@@ -93,6 +93,23 @@ def test_what_is_no_finger_is_refused(finger, ppi, words: str, tmp_path: Path) -
     assert not (tmp_path / "g.skg").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"fmr": "high"}, "`fmr` must lie between 0 and 1, but it is 'high'"),
+        ({"person": 17}, "a person's name is a text, not 17"),
+        ({"top": "all"}, "`top` must be"),
+        ({"finger": 17}, "'17' is not a finger"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused(arguments, words: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=words):
+        splitknit_match.identify(tmp_path / "g.skg", b"", **arguments)
+    if "person" in arguments:
+        with pytest.raises(BadInput, match=words):
+            splitknit_match.enroll(tmp_path / "g.skg", b"", 17, "right_index")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("key", [None, Key("0f" * 32)], ids=["plain", "encrypted"])
 def test_a_gallery_stays_open(prints, tmp_path: Path, key: Key | None, monkeypatch) -> None:
@@ -289,7 +306,7 @@ def test_one_finger_under_two_names(prints, tmp_path: Path) -> None:
     assert quiet.alike == () and quiet.content.captures == 3
     same = splitknit_match.enroll(file, press(1, -3), "ivy", "left_thumb", resolution_ppi=PPI)
     assert {duplicate.person for duplicate in same.alike} == {"ann", "eve"}
-    with pytest.raises(BadInput, match="refuse, warn or allow"):
+    with pytest.raises(BadInput, match="one of refuse, warn, allow"):
         splitknit_match.enroll(
             file, prints["ann"], "x", "left_thumb", resolution_ppi=PPI, duplicates="maybe"
         )
@@ -307,8 +324,16 @@ def test_a_search_by_minutiae_says_what_it_left_out(prints, tmp_path: Path, monk
     assert "compared, those whose minutiae agree best" in str(identification.findings[0])
 
 
-def test_templates_of_arrays_are_those_of_files(prints) -> None:
+def test_templates_of_arrays_are_those_of_files(prints, tmp_path: Path) -> None:
+    """And the bytes are what a file of a template holds; nothing prints them."""
+    from splitknit_match.matching.inputs import held
     from splitknit_match.matching.template import pack
 
-    template = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI)
-    assert template.payload == pack(print_template(prints["ann"]))
+    file = tmp_path / "ann.skt"
+    template = splitknit_match.make_template(prints["ann"], file, resolution_ppi=PPI)
+    assert template.payload == file.read_bytes()
+    assert held(template.payload) == pack(print_template(prints["ann"]))
+    assert "x00" not in repr(template)
+    assert len(repr(print_template(prints["ann"]))) < 100
+    with pytest.raises(BadInput, match="is damaged"):
+        splitknit_match.match(template.payload[:-1] + b"?", template.payload)

@@ -78,6 +78,7 @@ def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path: 
 
         return staticmethod(call)
 
+    assert "security" in document["paths"].pop("/health")["get"]
     for path, operations in document["paths"].items():
         operation = operations["post"]
         schema = operation["requestBody"]["content"]["application/json"]["schema"]
@@ -98,7 +99,15 @@ def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path: 
     assert 0 < quality["quality"] <= 100 and quality["acquired"]
     assert Client.verify(person="bob", template=quality["template"]).json()["decision"]["match"]
     assert not Client.verify(person="ann", template=quality["template"]).json()["decision"]["match"]
+    listed = Client.list().json()["captures"]
+    assert [capture["person"] for capture in listed] == ["ann", "bob"]
+    assert "template" not in listed[0]
+    assert Client.remove(person="bob").json() == {"removed": 1}
+    assert Client.remove(person="bob").status_code == 400
+    assert len(Client.list(person="ann").json()["captures"]) == 1
     lines = [json.loads(line) for line in (tmp_path / "audit").read_text().splitlines()][1:]
+    assert [line["act"] for line in lines[7:]] == ["list", "remove", "remove", "list"]
+    lines = lines[:7]
     assert [line["act"] for line in lines] == ["enroll"] * 3 + [
         "identify",
         "quality",
@@ -118,8 +127,11 @@ def test_what_is_wrong_is_one_sentence(service, tmp_path: Path) -> None:
     )
     assert service.post("/enroll", json=good, headers={"Authorization": ""}).status_code == 401
     assert service.post("/identify", content=b"x" * 2_100_000).status_code == 413
-    assert service.get("/identify").status_code == 405
-    assert service.post("/nothing", json={}).status_code == 404
+    for refusal, code in ((service.get("/identify"), 405), (service.post("/nothing"), 404)):
+        assert refusal.status_code == code
+        assert refusal.json()["error"].endswith("GET /openapi.json describes all.")
+    bare = httpx.get(f"{service.base_url}/health")
+    assert (bare.status_code, bare.json()) == (200, {"status": "ok"})
     for body, words in (
         (b"{", "not a JSON document"),
         (b"[" * 100_000, "not a JSON document"),

@@ -151,8 +151,10 @@ def test_a_part_of_a_finger_is_identified_or_undecided(files, tmp_path: Path, ca
         whose = ["--person", name, "--finger", "right_index"]
         assert main(["enroll", gallery, files[name], *whose]) == 0
     capsys.readouterr()
-    assert main(["identify", gallery, files["part"], "--fmr", "0.001", "--exit-code"]) == 0
+    assert main(["identify", gallery, files["part"], "--exit-code"]) == 0
     assert capsys.readouterr().out.startswith("Match: whole")
+    assert main(["identify", gallery, files["part"], "--fmr", "0.00005", "--exit-code"]) == 11
+    assert "leave --fmr out, or give a larger one" in capsys.readouterr().out
     assert main(["gallery", "remove", gallery, "--person", "whole"]) == 0
     capsys.readouterr()
     assert main(["identify", gallery, files["bit"], "--fmr", "0.001", "--exit-code"]) == 11

@@ -142,7 +142,7 @@ def test_photographs_are_matched_by_rates_of_photographs(
     photo: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert read_fingerphoto(photo, PX_PER_MM).hashes.keys() == {"photo.jpg"}
-    assert main(["match", str(photo), str(photo), "--input-ppi", str(25.4 * PX_PER_MM)]) == 0
+    assert main(["match", str(photo), str(photo), "--resolution-ppi", str(25.4 * PX_PER_MM)]) == 0
     printed = capsys.readouterr().out
     assert "photo.jpg: taken for a photograph of a finger" in printed
     assert "photographs of" in printed

@@ -108,7 +108,7 @@ def test_a_print_without_resolution_is_refused_with_an_estimate(
         read_one_finger(file)
     message = str(refused.value)
     assert "\n" not in message
-    assert "`input_ppi` 500" in message
+    assert "`resolution_ppi` 500" in message
     stated = [int(ppi) for ppi in re.findall(r"fits (\d+) to (\d+)", message)[0]]
     np.testing.assert_allclose(stated, [low, high], rtol=0.08)
     stored = read_one_finger(file, 500 * scale)
@@ -205,10 +205,12 @@ def test_a_resolution_that_only_the_other_print_contradicts_gives_no_answer(tmp_
 def test_resolutions_that_no_print_has_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "scan.jpg"
     file.write_bytes(saved(spiral_print(), "JPEG", 72))
-    with pytest.raises(BadInput, match=r"states 72 ppi, too few for ridges; .* `input_ppi` 500"):
+    with pytest.raises(
+        BadInput, match=r"states 72 ppi, too few for ridges; .* `resolution_ppi` 500"
+    ):
         read_one_finger(file)
     file.write_bytes(saved(np.full((200, 200), 255, np.uint8), "PNG", None))
-    with pytest.raises(BadInput, match=r"no ridges to measure it by: .* `input_ppi` 500"):
+    with pytest.raises(BadInput, match=r"no ridges to measure it by: .* `resolution_ppi` 500"):
         read_one_finger(file)
     file.write_bytes(saved(spiral_print(), "PNG", 9000))
     with pytest.raises(BadInput, match="more than 5080"):

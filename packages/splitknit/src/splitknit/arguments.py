@@ -57,10 +57,10 @@ Natural = Annotated[
 Scale = Annotated[float, Limits(0.05, 1.0)]
 Fraction = Annotated[float, Limits(0.0, 1.0)]
 Positive = Annotated[float, Limits(0.0, above=True)]
-Preset = Literal["metric", "snk", "pr", "ea", "pr-split", "ea-split", "kumar", "zheng", "lin"]
+Preset = Literal["metric", "snk", "pr", "ea", "pr-split", "ea-split", "kumar", "zheng", "lin"] | str
 Encoding = Literal["linear", "srgb"]
 Device = Literal["cpu", "cuda", "auto"]
-InputPpi = Annotated[
+ResolutionPpi = Annotated[
     float | None,
     Parameter(
         help=(

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from splitknit.arguments import AnyPath, InputPpi, Progress, Report, silent
+from splitknit.arguments import AnyPath, Progress, Report, ResolutionPpi, silent
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.folders import capture_of
@@ -29,7 +29,7 @@ def import_files(
     fingers: str | None = None,
     keep: Annotated[bool, Parameter(alias="--force")] = False,
     overwrite: bool = False,
-    input_ppi: InputPpi = None,
+    resolution_ppi: ResolutionPpi = None,
     photographs: AllPhotographs = NO_PHOTOGRAPHS,
     progress: Progress = silent,
 ) -> Report:
@@ -102,7 +102,7 @@ def import_files(
         require(not overwrite, "`overwrite` goes with `images`.")
         photographs.refuse_without_images()
         import_prints = extension(IMPORTS, "prints", "the import of prints", MATCH)
-        return import_prints(files, out, input_ppi, progress)  # type: ignore[no-any-return]
+        return import_prints(files, out, resolution_ppi, progress)  # type: ignore[no-any-return]
     return _import_photographs(known, Path(out), overwrite=overwrite, progress=progress)
 
 

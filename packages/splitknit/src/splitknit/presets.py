@@ -13,6 +13,7 @@ from splitknit.imaging.coloured import LightsSettings
 from splitknit.integration.knit import KnitSettings
 from splitknit.integration.shapelets import ShapeletSettings
 from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.registry import own_object
 from splitknit.settings import Checked, Limits, check_fields, differing, override
 from splitknit.skin.diffusion import SkinSettings
 from splitknit.skin.images import MetricSettings
@@ -204,7 +205,7 @@ def chosen_settings(
         preset = min(names, key=lambda name: len(differing(asdict(PRESETS[name]), asdict(chosen))))
     else:
         chosen = override(preset_settings(preset), settings or {})
-    return preset if chosen == PRESETS[preset] else f"{preset}, changed", chosen
+    return preset if chosen == preset_settings(preset) else f"{preset}, changed", chosen
 
 
 def preset_settings(preset: str) -> PipelineSettings:
@@ -212,7 +213,8 @@ def preset_settings(preset: str) -> PipelineSettings:
 
     Parameters
     ----------
-    preset : a name of :data:`PRESETS`
+    preset : a name of :data:`PRESETS`, or a function without arguments that returns settings:
+        an entry point of ``splitknit.presets``, or ``module:function``
 
     Returns
     -------
@@ -229,5 +231,9 @@ def preset_settings(preset: str) -> PipelineSettings:
     >>> preset_settings("snk").knit.method
     'addition'
     """
-    require(preset in PRESETS, f"there is no preset '{preset}'; known are {', '.join(PRESETS)}.")
-    return PRESETS[preset]
+    if preset in PRESETS:
+        return PRESETS[preset]
+    settings = own_object("preset", preset, PRESETS)()
+    wrong = f"the preset '{preset}' must return PipelineSettings."
+    require(isinstance(settings, PipelineSettings), wrong)
+    return settings  # type: ignore[no-any-return]

@@ -4,14 +4,15 @@ points.
 An entry point of the group ``splitknit.verbs`` has the verb as its name (``match``, ``calibrate
 camera``) and names a function: its signature and docstring make the options and the help. The group
 ``splitknit.imports`` extends a verb of the core, ``splitknit.devices`` names what ``capture``
-photographs with. The module imports next to nothing, so that ``splitknit --help`` is quick.
+photographs with, ``splitknit.matchers`` and ``splitknit.presets`` name what others add. The module
+imports next to nothing, so that ``splitknit --help`` is quick.
 """
 
 from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from typing import Any
 
 GROUP = "splitknit.verbs"
@@ -96,6 +97,8 @@ GONE: dict[str, str] = {
 }
 """Verbs that left, each with what to use instead, as one sentence."""
 
+GONE_OPTIONS = {"--input-ppi": "it is '--resolution-ppi' now, as in Python."}
+
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:
     """Names and objects (``module:name``) that are registered, by one distribution or by all that
@@ -134,6 +137,9 @@ def refusal(words: Sequence[str]) -> str:
     for name, instead in GONE.items():
         if typed.startswith(f"{name} "):
             return f"'{name}' left the program: {instead}"
+    for name, instead in GONE_OPTIONS.items():
+        if any(word.partition("=")[0] == name for word in words):
+            return f"'{name}' left the program: {instead}"
     verb = next((word for word in words if not word.startswith("-")), "")
     if verb and verb not in VERBS and verb not in verbs_known():
         from difflib import get_close_matches
@@ -163,3 +169,17 @@ def not_installed(what: str, distribution: str) -> str:
     """One sentence on what is missing, and the command that adds it."""
     how = f"add it, in splitknit's folder, with 'pip install ./packages/{distribution}'."
     return f"{what} comes with {distribution}, which is not installed; {how}"
+
+
+def own_object(kind: str, name: str, known: Iterable[str]) -> Any:
+    """Somebody's own matcher or preset: an entry point of ``splitknit.matchers`` or
+    ``splitknit.presets``, or named as MODULE:NAME. Raises BadInput."""
+    from pkgutil import resolve_name
+
+    from splitknit.errors import refusing, require
+
+    value = registered(f"splitknit.{kind}s").get(name, name)
+    cure = f"known are {', '.join(known)}, and your own as MODULE:NAME."
+    require(":" in value, f"there is no {kind} '{name}'; {cure}")
+    with refusing(f"the {kind} '{name}' cannot be imported; is its module on PYTHONPATH?"):
+        return resolve_name(value)

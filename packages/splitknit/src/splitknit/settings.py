@@ -37,8 +37,8 @@ class Limits:
         """Whether a value, or every part of a tuple, lies in the range."""
         if isinstance(value, tuple):
             return all(self.hold(part) for part in value)
-        if value is None:
-            return True
+        if value is None or isinstance(value, str):
+            return value is None
         finite = (
             abs(value) <= sys.float_info.max if isinstance(value, int) else math.isfinite(value)
         )

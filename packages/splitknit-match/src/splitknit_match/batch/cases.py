@@ -45,5 +45,5 @@ class Case:
 
 
 def preset_cases(names: tuple[str, ...] = PRESETS) -> tuple[Case, ...]:
-    """Cases of the presets `names`, unchanged."""
-    return tuple(Case(name, name) for name in names)
+    """Cases of the presets `names`, unchanged; an own one's module and function by a dot."""
+    return tuple(Case(name.replace(":", "."), name) for name in names)

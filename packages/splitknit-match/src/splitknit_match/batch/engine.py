@@ -20,7 +20,7 @@ from splitknit.io.targets import check_file
 from splitknit.model import Progress, no_progress
 from splitknit_match.batch.cases import Case, preset_cases
 from splitknit_match.batch.features import CaptureTask, extract_minutiae, reconstruct_capture
-from splitknit_match.batch.matchers import MATCHERS
+from splitknit_match.batch.matchers import matcher_of
 from splitknit_match.batch.population import (
     Population,
     all_pairs,
@@ -84,7 +84,8 @@ def run_batch(
     cases : sequence of Case
         Methods of reconstruction, each of its own name.
     matchers : sequence of str
-        Names in ``MATCHERS``; none: reconstruct only.
+        Names in ``MATCHERS``, or your own (``module:function``, as of
+        :func:`splitknit_match.match`); none: reconstruct only.
     impostors, seed : float, int
         Fraction of the comparisons of different fingers that is made, 0 to 1, and which.
     surfaces : bool
@@ -120,7 +121,7 @@ def run_batch(
         folder = folder.resolve()
         stack.enter_context(locked(folder))
         case_documents = {case.name: case.document() for case in cases}
-        documents = {name: MATCHERS[name].document for name in matchers}
+        documents = {name: matcher_of(name).document for name in matchers}
         pairs = {"impostors": impostors, "seed": seed}
         store = open_store(folder, captures.sha256, case_documents, documents, pairs)
         workers = Workers(jobs, client, device)
@@ -147,8 +148,7 @@ def _check(cases: Sequence[Case], matchers: Sequence[str], impostors: float, job
     names = {case.name for case in cases}
     require(len(names) == len(cases), "two cases have one name; give each its own.")
     for name in matchers:
-        known = f"known are {', '.join(MATCHERS)}."
-        require(name in MATCHERS, f"there is no matcher '{name}'; {known}")
+        matcher_of(name)
 
 
 def _reconstruct(run: _Run, cases: Sequence[Case], surfaces: bool) -> dict[str, Any]:
@@ -203,7 +203,7 @@ def _require_readable(facts: dict[str, Any], others: str) -> None:
 
 def _compare(run: _Run, case: Case, name: str) -> dict[str, Any]:
     """Make the comparisons of a case by a matcher that the store lacks; return the facts."""
-    if MATCHERS[name].source == "minutiae":
+    if matcher_of(name).source == "minutiae":
         features, target = (
             run.store.folder / kind / case.name for kind in ("features", "minutiae")
         )
@@ -231,7 +231,7 @@ def _compare(run: _Run, case: Case, name: str) -> dict[str, Any]:
 
 def _blocks(run: _Run, case: str, name: str) -> list[Block]:
     """Comparisons that the store lacks. Raises BadInput if all captures are of one session."""
-    matcher = MATCHERS[name]
+    matcher = matcher_of(name)
     places = run.store.places(matcher.source, case)
     captures = [capture for capture in run.population.captures if capture.name in places]
     number = {capture.name: k for k, capture in enumerate(captures)}

@@ -7,7 +7,13 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.io.images import decode_image
+from splitknit.registry import own_object
 from splitknit_match.batch.store import Place
+from splitknit_match.matching.methods import OwnMatcher
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.template import unpack
@@ -101,6 +107,26 @@ def _stored_minutiae(place: Place) -> Minutiae | None:
 def _by_minutiae(a: Minutiae, b: Minutiae) -> Values:
     score = minutiae_match(a, b)
     return {"similarity": score, "bozorth3": score}
+
+
+def _print(place: Place) -> NDArray[np.uint8] | None:
+    data = place.value("print")
+    return np.asarray(decode_image(data, "the print")[..., 0]) if data else None
+
+
+def matcher_of(name: str) -> Matcher:
+    """A matcher of :data:`MATCHERS`, or somebody's own. Raises BadInput if there is none."""
+    if name in MATCHERS:
+        return MATCHERS[name]
+    compare: OwnMatcher = own_object("matcher", name, MATCHERS)
+    return Matcher(
+        (),
+        128,
+        {"matcher": name},
+        _print,
+        _print,
+        lambda a, b: {"similarity": float(compare(a, b))},
+    )
 
 
 MATCHERS: Mapping[str, Matcher] = MappingProxyType(

@@ -14,7 +14,7 @@ import numpy as np
 from splitknit.errors import refusing
 from splitknit.io.atomic import write_file
 from splitknit.io.provenance import provenance, settings_hash
-from splitknit_match.batch.matchers import MATCHERS
+from splitknit_match.batch.matchers import matcher_of
 from splitknit_match.batch.store import SCORES, Place
 from splitknit_match.batch.tables import SUFFIX, Table, read_origin, write_table
 from splitknit_match.batch.tasks import Done
@@ -34,7 +34,7 @@ class Block:
 def compare_block(folder: Path, name: str, origin: Mapping[str, Any], block: Block) -> Done:
     """Make the comparisons of a block by the matcher `name`, and write their table."""
     started = time.thread_time()
-    matcher, names, places = MATCHERS[name], block.names, block.places
+    matcher, names, places = matcher_of(name), block.names, block.places
     missing = dict.fromkeys(("similarity", *matcher.columns), math.nan)
     earlier = {int(a): matcher.database(places[a]) for a in np.unique(block.pairs.a)}
     rows: list[dict[str, Any]] = []

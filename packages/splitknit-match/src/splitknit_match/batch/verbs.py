@@ -14,11 +14,11 @@ from splitknit.arguments import (
     AnyPath,
     Device,
     Fraction,
-    InputPpi,
     Natural,
     Preset,
     Progress,
     Report,
+    ResolutionPpi,
     checked,
     count,
     refuse_given,
@@ -189,7 +189,7 @@ def enroll(
     with_time: bool = False,
     duplicates: Literal["refuse", "warn", "allow"] | None = None,
     pad: bool = False,
-    input_ppi: InputPpi = None,
+    resolution_ppi: ResolutionPpi = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     preset: Preset = "metric",
@@ -255,7 +255,7 @@ def enroll(
     from splitknit_match.pad import refuse_attacks
     from splitknit_match.prints.photo_finger import PhotoFinger
 
-    how = Enrolling(preset, replace, with_time, input_ppi, PhotoFinger(mask, box))
+    how = Enrolling(preset, replace, with_time, resolution_ppi, PhotoFinger(mask, box))
     key = key_of(key_file)
     presentation, unknown = refuse_attacks(pad, sources, preset, progress)
     if population is None:

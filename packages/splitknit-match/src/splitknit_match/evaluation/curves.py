@@ -75,16 +75,20 @@ def draw_roc(ax: Any, curves: Sequence[tuple[str, Scores, Band | None]]) -> None
     ax.legend()
 
 
-def draw_det(ax: Any, curves: Sequence[tuple[str, Scores]]) -> None:
+def draw_det(ax: Any, curves: Sequence[tuple[str, Scores, Band | None]]) -> None:
     """FRR over FAR on probit axes: two normal distributions give a straight line; grey is where
-    both are equal."""
+    both are equal; with bands as :func:`draw_roc`."""
     from scipy.special import ndtr, ndtri
 
     ends = np.array([1e-5, 0.99])
     ax.plot(ends, ends, color="#999999", linestyle=":")
-    for name, scores in curves:
+    for name, scores, band in curves:
         far, gar = _corners(roc(scores.genuine, scores.impostor))
-        ax.step(np.clip(far, *ends), np.clip(1.0 - gar, *ends), where="post", label=name)
+        (line,) = ax.step(np.clip(far, *ends), np.clip(1.0 - gar, *ends), where="post", label=name)
+        if band is not None:
+            limits = (np.clip(1.0 - gars, *ends) for gars in band[1:])
+            x = np.clip(band[0], *ends)
+            ax.fill_between(x, *limits, color=line.get_color(), alpha=0.15, linewidth=0)
     ticks = [1e-5, 1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95]
     for set_scale, axis in ((ax.set_xscale, ax.xaxis), (ax.set_yscale, ax.yaxis)):
         set_scale("function", functions=(lambda rate: ndtri(np.clip(rate, 1e-9, 1 - 1e-9)), ndtr))

@@ -109,8 +109,9 @@ def differences(
 ) -> dict[str, Interval]:
     """Figures of `first` minus figures of `second`, which scored the same pairs in the same order.
     Both get the same replicates, so that what is hard for both cancels; a difference is beyond
-    chance where its interval leaves out zero. Raises BadInput if the systems differ in number or
-    labels, or `method` lacks its ids.
+    chance where its interval leaves out zero. Where few fingers tell both apart, the limit is that
+    of single figures: of 12 fingers none of which does, up to 3 / 12 either way. Raises BadInput if
+    the systems differ in number or labels, or `method` lacks its ids.
     """
     same = np.array_equal(first.label, second.label)
     require(
@@ -120,8 +121,11 @@ def differences(
     (values, replicates), (values_2, replicates_2) = _resampled([first, second], method, settings)
     ends = _percentiles(replicates - replicates_2)
     rows = zip(figure_names(settings.targets), values - values_2, *ends, strict=True)
+    bounds = _difference_bounds(first, second, method, settings.targets)
     return {
-        name: _interval(value, low, high) for name, value, low, high in rows if np.isfinite(value)
+        name: _interval(value, low, high, *(value + end for end in bounds.get(name, ())))
+        for name, value, low, high in rows
+        if np.isfinite(value)
     }
 
 
@@ -246,6 +250,38 @@ def _bounds(
             low = 1.0 - upper(1.0 - point.gar, ~accepted, tried)
             limits[f"gar@{target:g}{ending}"] = low, upper(point.gar, accepted, tried)
     return limits
+
+
+def _difference_bounds(
+    first: Scores, second: Scores, method: str, targets: Sequence[float]
+) -> dict[str, tuple[float, float]]:
+    """How far below and above a difference may lie that rests on few fingers, as
+    :func:`_bounds`: what one system accepts and the other does not are errors of independent
+    trials, either way."""
+    clusters = _clusters(first, method)[0][first.label, 0]
+    trials = np.unique(clusters).size
+
+    def more(differs: BoolArray) -> float:
+        rate = float(differs.mean())
+        few = np.unique(clusters[differs]).size < FEW
+        return error_bound(rate, trials) - rate if few else 0.0
+
+    limits = {}
+    own, others = (_decided(system, targets) for system in (first, second))
+    for name, accepted in own.items():
+        gained, lost = more(accepted & ~others[name]), more(others[name] & ~accepted)
+        limits[name] = (-gained, lost) if name == "eer" else (-lost, gained)
+    return limits
+
+
+def _decided(scores: Scores, targets: Sequence[float]) -> dict[str, BoolArray]:
+    """Genuine comparisons (N,) that are accepted where each figure is read."""
+    curve = roc(scores.genuine, scores.impostor)
+    thresholds = {"eer": curve.equal_error().threshold}
+    for part, ending in ((curve, ""), (curve.made(), "_made")):
+        for target in targets:
+            thresholds[f"gar@{target:g}{ending}"] = part.at_far(target).threshold
+    return {name: _accepted(scores.genuine, value) for name, value in thresholds.items()}
 
 
 def _accepted(scores: Values, threshold: float | None) -> BoolArray:

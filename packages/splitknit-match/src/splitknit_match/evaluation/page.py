@@ -155,17 +155,16 @@ def _charts(results: Sequence[Result]) -> dict[str, bytes]:
     bands = []
     for result in results:
         band = result.intervals.curve_far, result.intervals.curve_low, result.intervals.curve_high
-        bands.append(band if band[0].size and len(results) <= 3 else None)
+        bands.append(band if band[0].size else None)
 
     def histograms(*axes: Any) -> None:
         for ax, scores in zip(axes, systems, strict=True):
             curves.draw_scores(ax, scores)
 
-    named = [(scores.name, scores) for scores in systems]
-    banded = [(*named_scores, band) for named_scores, band in zip(named, bands, strict=True)]
+    banded = [(scores.name, scores, band) for scores, band in zip(systems, bands, strict=True)]
     return {
         "roc.svg": curves.chart(lambda ax: curves.draw_roc(ax, banded)),
-        "det.svg": curves.chart(lambda ax: curves.draw_det(ax, named), 4.2, 4.2),
+        "det.svg": curves.chart(lambda ax: curves.draw_det(ax, banded), 4.2, 4.2),
         "scores.svg": curves.chart(histograms, count=len(systems)),
     }
 

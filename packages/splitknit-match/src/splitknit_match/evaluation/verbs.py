@@ -31,7 +31,7 @@ def evaluate_files(
     average: Annotated[bool, Parameter("--average-sessions")] = False,
     fuse: Annotated[Sequence[str], SEVERAL] = (),
     calibrate: AnyPath | None = None,
-    method: Literal["fusion", "ridge", "minutiae"] = "fusion",
+    method: Literal["fusion", "ridge", "minutiae"] | str = "fusion",
     least_mm2: float = 100.0,
     progress: Progress = silent,
 ) -> Report:

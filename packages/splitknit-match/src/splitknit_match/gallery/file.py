@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
 import os
 import re
 import select
@@ -16,7 +17,7 @@ import sqlite3
 import threading
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -33,6 +34,8 @@ from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.minutia_index import CaptureMinutiae, MinutiaIndex
+
+_log = logging.getLogger(__name__)
 
 APPLICATION_ID = 0x534B4741
 """``SKGA``, in the header of the file. Source: definition of the format."""
@@ -121,12 +124,13 @@ class NewCapture:
     """What is put into a gallery."""
 
     entry: Entry
-    template: bytes
+    template: bytes = field(repr=False)
     """Payload (:func:`splitknit_match.matching.template.pack`), empty for a failure to acquire."""
 
 
-def check_person(text: str) -> str:
+def check_person(text: Any) -> str:
     """Return `text` in one normal form (NFC) if it can be a person's name. Raises BadInput."""
+    require(isinstance(text, str), f"a person's name is a text, not {text!r}.")
     name = unicodedata.normalize("NFC", text).strip()
     sound = 0 < len(name) <= MAX_NAME and name.isprintable()
     escaped = text.encode("unicode_escape").decode("ascii")[:60]
@@ -138,12 +142,12 @@ def check_person(text: str) -> str:
     return name
 
 
-def check_session(text: str) -> str:
+def check_session(text: Any) -> str:
     """Return `text` if it can be a session's name."""
-    sound = re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None
+    sound = re.fullmatch(r"[A-Za-z0-9_-]{1,32}", session := str(text)) is not None
     expected = "up to 32 letters, digits, - and _ are expected, such as 1."
-    require(sound, f"{text[:60]!a} cannot be a session: {expected}")
-    return text
+    require(sound, f"{session[:60]!a} cannot be a session: {expected}")
+    return session
 
 
 def known_finger(finger: str) -> str:
@@ -450,10 +454,17 @@ class GalleryFile:
             last()
         return new
 
-    def remove(self, person: str, finger: str | None = None, session: str | None = None) -> int:
+    def remove(
+        self,
+        person: str,
+        finger: str | None = None,
+        session: str | None = None,
+        *,
+        last: Callable[[], object] = lambda: None,
+    ) -> int:
         """Remove captures so that nothing of them remains in the file; return how many there were.
 
-        Raises BadInput if there are none.
+        `last`: as of :meth:`add`. Raises BadInput if there are none.
         """
         with self._changing() as database:
             removed = _delete(database, check_person(person), finger, session)
@@ -465,6 +476,8 @@ class GalleryFile:
                 " in it."
             )
             require(removed > 0, missing)
+            last()
+        _log.info("removed %d captures", removed)
         return removed
 
     # The file.
@@ -511,6 +524,7 @@ class GalleryFile:
             except BaseException:
                 if not there and not self.there:  # it appears with its first finger, or not at all
                     self.path.unlink(missing_ok=True)
+                    self._was_there = False
                 raise
 
     def _erase(self, database: Any) -> None:

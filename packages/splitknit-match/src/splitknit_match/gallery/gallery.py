@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from splitknit import BadInput, Capture, Reconstruction, read_capture
-from splitknit.arguments import AnyPath, Preset
+from splitknit.arguments import AnyPath, Natural, Preset, checked
 from splitknit.errors import require
 from splitknit.findings import Finding, Severity, worst_first
 from splitknit.io.provenance import file_hash
@@ -50,9 +51,13 @@ from splitknit_match.matching.inputs import (
 )
 from splitknit_match.matching.match import Finger
 from splitknit_match.matching.methods import side_minutiae
+from splitknit_match.matching.results import one_in
 from splitknit_match.matching.template import mirrored
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
+from splitknit_match.threads import one_blas_thread
+
+_log = logging.getLogger(__name__)
 
 Duplicates = Literal["refuse", "warn", "allow"]
 _NOT_INPUTS = ("truth.npz", ".splitknit")
@@ -68,7 +73,7 @@ class Enrolling:
     """Whether a capture takes the place of another of the same names."""
     with_time: bool = False
     """Whether the time of enrolment is kept."""
-    input_ppi: float | None = None
+    resolution_ppi: float | None = None
     """Resolution of prints whose files do not state it."""
     where: PhotoFinger = field(default_factory=PhotoFinger)
     """Which finger of a photograph."""
@@ -125,12 +130,12 @@ class Made:
     """What becomes a row of a gallery, but for the names."""
 
     kind: str
-    template: bytes
+    template: bytes = field(repr=False)
     area_mm2: float
     source_sha256: str
     failure: str = ""
     findings: tuple[Finding, ...] = ()
-    side: Side | None = None
+    side: Side | None = field(default=None, repr=False)
     """What is compared of it."""
 
 
@@ -152,16 +157,21 @@ class Gallery(GalleryFile):
     ...     gallery.remove("Ann", "right_index")
     """
 
+    def check(self) -> GalleryContent:
+        """What it holds, once all of it could be read. Raises BadInput if it cannot be used."""
+        self.people()
+        return content_of(self, created=False)
+
+    @checked
     def identify(
         self,
         probe: Finger,
         *,
-        top: int = 10,
+        top: Natural = 10,
         person: str | None = None,
         finger: str | None = None,
-        fmr: float = 1e-4,
+        fmr: float | None = None,
         merge: Merge = "person",
-        input_ppi: float | None = None,
         resolution_ppi: float | None = None,
         preset: Preset = "metric",
         progress: Progress = no_progress,
@@ -169,7 +179,7 @@ class Gallery(GalleryFile):
         """Who is it? Arguments, and what is raised, as of :func:`splitknit_match.identify`."""
 
         def read(progress: Progress) -> Side:
-            return read_side(held(probe, resolution_ppi), preset, progress, input_ppi)
+            return read_side(held(probe, resolution_ppi), preset, progress, resolution_ppi)
 
         return identify_finger(
             self,
@@ -182,6 +192,8 @@ class Gallery(GalleryFile):
             progress=progress,
         )
 
+    @checked
+    @one_blas_thread()
     def enroll(
         self,
         finger_of: Finger | Sequence[Finger],
@@ -202,13 +214,13 @@ class Gallery(GalleryFile):
         log; what it raises undoes it. A source other than a template from which nothing was
         acquired is refused.
         """
-        require(
-            duplicates in ("refuse", "warn", "allow"),
-            f"`duplicates` is refuse, warn or allow, not '{duplicates}'.",
-        )
         how = how or Enrolling()
+        ppi = how.resolution_ppi if resolution_ppi is None else resolution_ppi
         several: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
-        sources = [held(source, resolution_ppi) for source in several]
+        sources = [held(source, ppi) for source in several]
+        if any(isinstance(source, Pixels) for source in sources):
+            ppi = None  # beside arrays it is theirs
+        how = replace(how, resolution_ppi=ppi)
         kinds = "a capture, a result, a template (.skt), a print or a record of minutiae"
         require(sources, f"name {kinds} to enrol.")
         single = len(sources) == 1 or session is None
@@ -243,10 +255,15 @@ class Gallery(GalleryFile):
         sides = [row.side for row in rows if row.side is not None]
         review = _Review(self, sides, (person, finger), duplicates)
         review.look()  # the first look may take long, and holds nobody up
+
+        def last() -> None:
+            progress("done", 1.0)
+            put_down()
+
         added = self.add(
-            captures, settings_sha256, replaces=how.replace, first=review.look, last=put_down
+            captures, settings_sha256, replaces=how.replace, first=review.look, last=last
         )
-        progress("done", 1.0)
+        _log.info("enrolled %d captures, %d of them new", len(added), sum(added))
         enrolled = [
             _enrolled(capture, is_new) for capture, is_new in zip(captures, added, strict=True)
         ]
@@ -285,12 +302,12 @@ def enroll(
     key : path, optional
         File with the key of an encrypted gallery.
     resolution_ppi : float, optional
-        Pixels per inch of arrays.
+        Pixels per inch of arrays; where none is an array, of the files.
     duplicates : {"refuse", "warn", "allow"}
         What to do about one that matches another person's (of the person's own fingers it is only
-        said), at a false match rate of 1 in 10,000 a comparison: refuse it, report it (the
-        default), or not look. Of more than 200 captures those whose minutiae agree best are
-        compared, so that about 1 in 100 such fingers is missed.
+        said), at a false match rate of 1 in 10,000 a comparison (of small prints at the smallest
+        measured): refuse it, report it (the default), or not look. Of more than 200 captures those
+        whose minutiae agree best are compared, so that about 1 in 100 such fingers is missed.
     how : Enrolling, optional
         Preset, settings and what is kept.
     progress : callable, optional
@@ -365,10 +382,11 @@ class _Review:
             and (candidate.person, candidate.finger) != self.names
         ]
         others = [candidate for candidate in alike if candidate.person != self.names[0]]
-        if others and self.duplicates == "refuse":
+        if others and decision is not None and self.duplicates == "refuse":
             whose = f"{others[0].finger.replace('_', ' ')} of another person, '{others[0].person}'"
             raise BadInput(
-                f"{side.path} matches {whose}, at a false match rate of 1 in 10,000 a comparison;"
+                f"{side.path} matches {whose}, at a false match rate of {one_in(decision.fmr)} a"
+                " comparison;"
                 " enrol it under that name, or give `duplicates` allow."
             )
         return alike
@@ -488,7 +506,7 @@ def made_of(
 ) -> Made:
     """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be
     reconstructed."""
-    side = undoubted(read_side(path, how.preset, progress, how.input_ppi, where=how.where))
+    side = undoubted(read_side(path, how.preset, progress, how.resolution_ppi, where=how.where))
     minutiae = side_minutiae(side) if of_minutiae else side.minutiae
     compared = replace(side, surface=None, picture=None, minutiae=minutiae)
     if of_minutiae:

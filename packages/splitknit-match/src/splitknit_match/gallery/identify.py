@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -27,6 +29,7 @@ from splitknit_match.gallery.parameters import ALL_PRINTS, NEAREST
 from splitknit_match.matching.fusion import fused_match, with_fusion
 from splitknit_match.matching.inputs import Side
 from splitknit_match.matching.methods import (
+    check_rate,
     fmr_basis,
     rate,
     reason,
@@ -35,6 +38,7 @@ from splitknit_match.matching.methods import (
     side_minutiae,
     similarity_at,
 )
+from splitknit_match.matching.parameters import DECIDED_AT
 from splitknit_match.matching.results import (
     ComparedSide,
     FmrBasis,
@@ -49,12 +53,14 @@ from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import Template
 from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
+from splitknit_match.threads import one_blas_thread
 
 TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7bc"
 """Of all that a template of ridges follows from; templates of one gallery agree in it."""
 MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})
 """What galleries that keep minutiae have in place of :data:`TEMPLATES_HASH`."""
 
+_log = logging.getLogger(__name__)
 
 Merge = Literal["person", "finger", "none"]
 _MERGED = {"person": 1, "finger": 2, "none": 3}
@@ -146,7 +152,7 @@ class _Comparison:
     """Similarity of minutiae alone."""
     overlap_mm2: float | None = None
 
-    def rated(self, table: str, area_mm2: float, fmr: float) -> Rated:
+    def rated(self, table: str, area_mm2: float, fmr: float | None) -> Rated:
         """By the impostors of what was compared: area and minutiae."""
         areas = area_mm2, self.entry.area_mm2
         scores = table if table == "minutiae_of_prints" else scores_of(table, areas, self.minutiae)
@@ -160,7 +166,7 @@ def identify_finger(
     top: int = 10,
     person: str | None = None,
     finger: str | None = None,
-    fmr: float = 1e-4,
+    fmr: float | None = None,
     merge: Merge = "person",
     progress: Progress = no_progress,
 ) -> Identification:
@@ -169,19 +175,44 @@ def identify_finger(
 
     `read`: reads the probe, once all else is known to be sound.
     """
-    require(top >= 1, f"`top` must be at least 1, but it is {top}.")
-    require(0 < fmr < 1, f"`fmr` must lie between 0 and 1, but it is {fmr:g}.")
-    require(merge in _MERGED, f"`merge` must be one of {', '.join(_MERGED)}, but it is {merge!r}.")
+    _check(top, finger, fmr, merge)
     person = None if person is None else check_person(person)
-    finger = None if finger is None else known_finger(finger)
     people = gallery.people(person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
     gallery.require_comparable(
         people.settings_sha256, MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH
     )
+    return identify_among(
+        people,
+        read,
+        top=top,
+        person=person,
+        finger=finger,
+        fmr=fmr,
+        merge=merge,
+        progress=progress,
+    )
+
+
+@one_blas_thread()
+def identify_among(
+    people: People,
+    read: Callable[[Progress], Side],
+    *,
+    top: int = 10,
+    person: str | None = None,
+    finger: str | None = None,
+    fmr: float | None = None,
+    merge: Merge = "person",
+    progress: Progress = no_progress,
+) -> Identification:
+    """As :func:`identify_finger`, among what is in memory."""
+    started = time.perf_counter()
+    _check(top, finger, fmr, merge)
+    of_minutiae = people.settings_sha256 == MINUTIAE_HASH
     entries = people.of(person, finger)
-    # refused here, before anything is made, where no such rate was measured
-    similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
+    if fmr is not None:  # refused here, before anything is made, where no such rate was measured
+        similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
 
     def reading(stage: str, fraction: float) -> None:
         progress(stage, 0.5 * fraction)
@@ -190,7 +221,7 @@ def identify_finger(
     probe = side_minutiae(side) if of_minutiae else side.template
     if probe is None:
         cure = "name a print, or enrol minutiae"
-        raise BadInput(f"{side.path} holds minutiae, but '{gallery.path}' keeps ridges; {cure}.")
+        raise BadInput(f"{side.path} holds minutiae, but '{people.path}' keeps ridges; {cure}.")
     acquired = probe.acquired if isinstance(probe, Minutiae) else not probe.empty
     area_mm2 = 0.0 if isinstance(probe, Minutiae) else probe.area_mm2
 
@@ -226,9 +257,11 @@ def identify_finger(
     if not acquired and doubt is None:
         answer, undecided = "not acquired", "failure to acquire"
     basis = rated[0].fmr_basis if rated else fmr_basis(table)
+    seconds = time.perf_counter() - started
+    _log.info("searched %d captures in %.2f s: %s", searched.captures, seconds, answer)
     progress("done", 1.0)
     return Identification(
-        gallery=str(gallery.path),
+        gallery=str(people.path),
         probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired),
         mode="identification" if person is None else "verification",
         person=person,
@@ -245,14 +278,24 @@ def identify_finger(
     )
 
 
+def _check(top: int, finger: str | None, fmr: float | None, merge: str) -> None:
+    require(top >= 1, f"`top` must be at least 1, but it is {top}.")
+    check_rate(fmr)
+    require(merge in _MERGED, f"`merge` must be one of {', '.join(_MERGED)}, but it is {merge!r}.")
+    if finger is not None:
+        known_finger(finger)
+
+
 def _decided(
-    rated: Sequence[Rated], table: str, fmr: float, captures: int
+    rated: Sequence[Rated], table: str, fmr: float | None, captures: int
 ) -> tuple[SearchDecision | None, str | None]:
     """Decision on the best candidate, or why there is none."""
     if rated and rated[0].decision is None:
         return None, rated[0].undecided
     decision = rated[0].decision if rated else None
-    decision = decision or MatchDecision(False, fmr, similarity_at(fmr, table))
+    if decision is None:
+        fmr = fmr or max(DECIDED_AT, fmr_basis(table).smallest)
+        decision = MatchDecision(False, fmr, similarity_at(fmr, table))
     return (
         SearchDecision(
             decision.match,

@@ -1,9 +1,9 @@
-"""A gallery over HTTP, by Starlette: enrol, identify, verify and quality, one JSON document a
-request.
+"""A gallery over HTTP, by Starlette: enrol, identify, verify, quality, list and remove, one JSON
+document a request.
 
 Every act needs the token, has a bounded body, and leaves one line in the audit file: time, act,
-whose finger it is said to be, what came out; nothing of the finger. The line of an enrolment is
-there before the finger is; if it then cannot be kept after all, a second line says so.
+whose finger it is said to be, what came out; nothing of the finger. The line of an enrolment or a
+removal is there before it is final; if it then fails after all, a second line says so.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import binascii
 import datetime
 import hmac
 import json
+import logging
 import math
 import os
 import sys
@@ -37,6 +38,8 @@ from splitknit_match.prints.from_file import minutiae_of, pressed_print
 from splitknit_match.prints.make import enhance, measured
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.records.print_formats import decode_prints
+
+_log = logging.getLogger(__name__)
 
 _FINGER: dict[str, tuple[type, str]] = {
     "print": (
@@ -69,6 +72,16 @@ ACTS: dict[str, tuple[str, dict[str, tuple[type, str]], tuple[str, ...]]] = {
         ("person",),
     ),
     "quality": ("How good a print is, and its template", _FINGER, ()),
+    "list": ("List who is in the gallery", {"person": (str, "of this person only")}, ()),
+    "remove": (
+        "Remove a person, a finger or a session for good",
+        {
+            "person": (str, "whose fingers"),
+            "finger": (str, "this one only"),
+            "session": (str, "this one only"),
+        },
+        ("person",),
+    ),
 }
 """What may be asked for: by its name a sentence, the fields of the request, and those that must be
 there."""
@@ -86,7 +99,7 @@ def openapi() -> dict[str, Any]:
     }
     document = {"content": {"application/json": {"schema": {"type": "object"}}}}
     responses = {code: {"description": text, **document} for code, text in answers.items()}
-    paths = {}
+    paths: dict[str, Any] = {}
     for name, (words, fields, needed) in ACTS.items():
         known = {
             key: {"type": kinds[kind], "description": text} for key, (kind, text) in fields.items()
@@ -100,6 +113,8 @@ def openapi() -> dict[str, Any]:
         body = {"required": True, "content": {"application/json": {"schema": schema}}}
         act = {"operationId": name, "summary": words, "requestBody": body, "responses": responses}
         paths[f"/{name}"] = {"post": act}
+    healthy = {"operationId": "health", "summary": "Whether the gallery can be used; no token"}
+    paths["/health"] = {"get": {**healthy, "responses": responses, "security": []}}
     security = {"securitySchemes": {"token": {"type": "http", "scheme": "bearer"}}}
     about = {"title": "splitknit", "version": "1"}
     return {
@@ -148,7 +163,7 @@ def make_app(
                 raise _AnswerError(401, "give the token: Authorization: Bearer TOKEN")
             act.fields = _fields_of(act.name, await body_of(request))
             # what is left alone would be written later
-            limit_s = WORK_S if act.name != "enroll" else math.inf
+            limit_s = WORK_S if act.name not in ("enroll", "remove") else math.inf
             with move_on_after(limit_s) as scope:
                 facts = await to_thread.run_sync(
                     _done, act, gallery, abandon_on_cancel=True, limiter=limiter
@@ -169,6 +184,7 @@ def make_app(
         except ClientDisconnect:
             code = 499
         except Exception:
+            _log.exception("internal error of %s", act.name)
             code, facts = 500, {"error": "internal error"}
         try:
             act.log(code, facts)
@@ -176,13 +192,46 @@ def make_app(
             code, facts = 503, {"error": str(error)}
         return JSONResponse(facts, code)
 
-    async def described(_: Request) -> JSONResponse:
-        return JSONResponse(openapi())
-
     routes = [Route(f"/{name}", answer, methods=["POST"]) for name in ACTS]
-    app = Starlette(routes=[*routes, Route("/openapi.json", described)])
+    app = Starlette(
+        routes=routes + _without_token(gallery),
+        exception_handlers=dict.fromkeys((404, 405), _refused),
+    )
     app.router.redirect_slashes = False  # it would redirect to the host that a client names
     return app
+
+
+def _without_token(gallery: Gallery) -> list[Any]:
+    """Routes that need none."""
+    from anyio import to_thread
+    from starlette.responses import JSONResponse
+    from starlette.routing import Route
+
+    async def health(_: Any) -> JSONResponse:
+        facts = await to_thread.run_sync(_health_of, gallery)
+        return JSONResponse(facts, 503 if "error" in facts else 200)
+
+    async def described(_: Any) -> JSONResponse:
+        return JSONResponse(openapi())
+
+    return [Route("/openapi.json", described), Route("/health", health)]
+
+
+async def _refused(_: Any, error: Any) -> Any:
+    from starlette.responses import JSONResponse
+
+    words = "there is no such address" if error.status_code == 404 else "use another method"
+    facts = {"error": f"{words}; GET /openapi.json describes all."}
+    return JSONResponse(facts, error.status_code, error.headers)
+
+
+def _health_of(gallery: Gallery) -> dict[str, str]:
+    try:
+        if gallery.there:
+            len(gallery)
+    except BadInput as error:
+        return {"error": _shown(error, gallery)}
+    return {"status": "ok"}
 
 
 class _AnswerError(Exception):
@@ -206,7 +255,7 @@ class _Act:
         self._logged = False
 
     def log(self, code: int, facts: Mapping[str, Any]) -> None:
-        """Add the line, unless it is there (:meth:`enrolled`); what was found is a name, never a
+        """Add the line, unless it is there (:meth:`written`); what was found is a name, never a
         score or a template.
 
         Raises Unavailable if it cannot be written.
@@ -222,9 +271,9 @@ class _Act:
             line["found"] = facts["candidates"][0]["person"] if decision["match"] else None
         _write_line(self.audit, line)
 
-    def enrolled(self) -> None:
+    def written(self) -> None:
         """Add the line while what was written is not yet final, so that no finger is enrolled
-        without it."""
+        or removed without it."""
         self.log(200, {})
         self._logged = True
 
@@ -260,7 +309,8 @@ def _fields_of(name: str, body: bytes) -> dict[str, Any]:
         require(sound, f"'{key}' must be a {'number' if kind is not str else 'text'}.")
     for key in needed:
         require(key in fields, f"'{key}' is missing: {known[key][1]}.")
-    require(("print" in fields) != ("template" in fields), "give either 'print' or 'template'.")
+    single = ("print" in fields) != ("template" in fields)
+    require(single or "print" not in known, "give either 'print' or 'template'.")
     return fields
 
 
@@ -297,12 +347,16 @@ def _shown(error: BadInput, gallery: Gallery) -> str:
 def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
     """What is answered."""
     fields = dict(act.fields)
+    if act.name == "list":
+        return {"captures": known_json(gallery.entries(**fields))}
+    if act.name == "remove":
+        return {"removed": gallery.remove(**fields, last=act.written)}
     finger: Any = _finger_of(fields)
     for name in _FINGER:
         fields.pop(name, None)
     if act.name == "enroll":
         person, which = fields.pop("person"), fields.pop("finger")
-        enrolment = gallery.enroll(finger, person, which, put_down=act.enrolled, **fields)
+        enrolment = gallery.enroll(finger, person, which, put_down=act.written, **fields)
         return {
             "enrolled": known_json(enrolment.enrolled),
             "alike": known_json(enrolment.alike),

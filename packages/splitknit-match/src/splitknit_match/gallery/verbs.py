@@ -15,11 +15,11 @@ from cyclopts import Parameter
 
 from splitknit.arguments import (
     AnyPath,
-    InputPpi,
     Natural,
     Preset,
     Progress,
     Report,
+    ResolutionPpi,
     checked,
     count,
     silent,
@@ -61,9 +61,8 @@ def identify(
     top: Natural = 10,
     person: str | None = None,
     finger: str | None = None,
-    fmr: float = 1e-4,
+    fmr: float | None = None,
     merge: Literal["person", "finger", "none"] = "person",
-    input_ppi: float | None = None,
     resolution_ppi: float | None = None,
     preset: Preset = "metric",
     progress: Progress = silent,
@@ -79,10 +78,10 @@ def identify(
     probe : path, array (H, W) uint8, bytes of a template, Reconstruction or Capture
     key : Key or path, optional
         Key, or file with the key, of an encrypted gallery.
-    top, person, finger, fmr, merge, input_ppi, preset : optional
+    top, person, finger, fmr, merge, preset : optional
         See :func:`identify_in_gallery`.
     resolution_ppi : float, optional
-        Pixels per inch of a print that comes as an array.
+        Pixels per inch of a print that is an array, or whose file does not state it.
     progress : called with the name of a stage and the fraction done, optional
 
     Returns
@@ -112,7 +111,6 @@ def identify(
             finger=finger,
             fmr=fmr,
             merge=merge,
-            input_ppi=input_ppi,
             resolution_ppi=resolution_ppi,
             preset=preset,
             progress=progress,
@@ -128,11 +126,11 @@ def identify_in_gallery(
     top: Natural = 10,
     person: str | None = None,
     finger: str | None = None,
-    fmr: float = 1e-4,
+    fmr: float | None = None,
     merge: Literal["person", "finger", "none"] = "person",
     pad: bool = False,
     raw: bool = False,
-    input_ppi: InputPpi = None,
+    resolution_ppi: ResolutionPpi = None,
     preset: Preset = "metric",
     progress: Progress = silent,
 ) -> Identification | Report:
@@ -152,7 +150,8 @@ def identify_in_gallery(
     finger
         Which finger it is; others are left out.
     fmr
-        False match rate of one comparison at which is decided.
+        False match rate of one comparison at which is decided (default: 1e-4, or the smallest that
+        was measured for such prints).
     merge
         One candidate for each person (default), each finger, or each enrolled capture (none).
     pad
@@ -191,7 +190,7 @@ def identify_in_gallery(
         finger=finger,
         fmr=fmr,
         merge=merge,
-        input_ppi=input_ppi,
+        resolution_ppi=resolution_ppi,
         preset=preset,
         progress=progress,
     )

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,7 +42,7 @@ from splitknit_match.prints.minutiae_record import (
     unpack_minutiae,
 )
 from splitknit_match.prints.photo_finger import PhotoFinger
-from splitknit_match.records.templates import HEADER_BYTES, MAGIC, read_template
+from splitknit_match.records.templates import HEADER_BYTES, MAGIC, decode_template, read_template
 
 if TYPE_CHECKING:
     from splitknit.io.prints import PrintFile
@@ -67,12 +67,12 @@ class Side:
     path: Path
     kind: str
     """``capture``, ``result``, ``template``, ``print``, ``photo`` (of a finger) or ``minutiae``."""
-    surface: Surface | None = None
-    template: Template | None = None
+    surface: Surface | None = field(default=None, repr=False)
+    template: Template | None = field(default=None, repr=False)
     """Template of its ridges; None where only minutiae are known."""
-    picture: NDArray[np.uint8] | None = None
+    picture: NDArray[np.uint8] | None = field(default=None, repr=False)
     """(H, W) of a print, at 500 ppi; of a photograph, unrolled."""
-    minutiae: Minutiae | None = None
+    minutiae: Minutiae | None = field(default=None, repr=False)
     """Minutiae of a record, a template, or a folder that ``splitknit print`` wrote."""
     findings: tuple[Finding, ...] = ()
     """What a photograph was taken for, what was changed of a print on reading, and a doubt where
@@ -98,7 +98,7 @@ class Side:
 class Pixels:
     """A print without a file."""
 
-    image: NDArray[np.uint8]
+    image: NDArray[np.uint8] = field(repr=False)
     """(H, W), ridges dark."""
     resolution_ppi: float
 
@@ -113,7 +113,7 @@ Held = Reconstruction | Capture | Pixels | bytes
 """A finger without a file: `bytes` are the payload of a template."""
 
 
-def held(finger: Any, resolution_ppi: float | None = None) -> Path | Held:
+def held(finger: Any, resolution_ppi: Any = None) -> Path | Held:
     """A finger as a caller has it: a path, other objects, or the pixels (H, W) of a print, of a
     known resolution.
 
@@ -127,6 +127,8 @@ def held(finger: Any, resolution_ppi: float | None = None) -> Path | Held:
             "a finger is a path, a Reconstruction, a Capture, an array (H, W) uint8 with"
             f" `resolution_ppi`, or bytes of a template, not {type(finger).__name__}.",
         )
+        if isinstance(finger, bytes) and finger.startswith(MAGIC):
+            return decode_template(finger, VERSION)
         return finger  # type: ignore[no-any-return]
     require(
         finger.ndim == 2 and finger.dtype == np.uint8,
@@ -138,8 +140,8 @@ def held(finger: Any, resolution_ppi: float | None = None) -> Path | Held:
             "an array of pixels does not state its resolution; give it: `resolution_ppi` 500."
         )
     require(
-        200 <= resolution_ppi <= 5080,
-        f"`resolution_ppi` must lie in 200 to 5080, but it is {resolution_ppi:g}.",
+        isinstance(resolution_ppi, int | float) and 200 <= resolution_ppi <= 5080,
+        f"`resolution_ppi` must lie in 200 to 5080, but it is {resolution_ppi!r}.",
     )
     return Pixels(np.ascontiguousarray(finger), float(resolution_ppi))
 
@@ -148,11 +150,11 @@ def read_side(  # noqa: PLR0911 - one for each kind
     finger: Path | Held,
     preset: str,
     progress: Progress = no_progress,
-    input_ppi: float | None = None,
+    resolution_ppi: float | None = None,
     *,
     where: PhotoFinger | None = None,
 ) -> Side:
-    """Read one side, whatever it is, and make its template; `input_ppi` as for prints in
+    """Read one side, whatever it is, and make its template; `resolution_ppi` as for prints in
     ``prints.from_file``.
 
     `where`: which finger of a photograph. Raises BadInput if it is none of these, or cannot be
@@ -196,14 +198,14 @@ def read_side(  # noqa: PLR0911 - one for each kind
     photo = fingerphoto(finger)
     if photo is not None:
         source = read_fingerphoto(
-            finger, None if input_ppi is None else input_ppi / 25.4, where, photo
+            finger, None if resolution_ppi is None else resolution_ppi / 25.4, where, photo
         )
         template = print_template(source.flat, pressed=source.pressed)
         findings = tuple(each.of_file(finger) for each in source.findings)
         return Side(
             finger, "photo", None, template, source.flat, findings=findings, quality=source.quality
         )
-    record = read_one_finger(finger, input_ppi)
+    record = read_one_finger(finger, resolution_ppi)
     if isinstance(record, FingerView):
         return naming(finger, lambda: Side(finger, "minutiae", minutiae=minutiae_of(record)))
     return _print_side(finger, record)

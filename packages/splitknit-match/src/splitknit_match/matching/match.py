@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from splitknit.arguments import (
     AnyPath,
-    InputPpi,
     Preset,
     Progress,
     Report,
+    ResolutionPpi,
     Settings,
     checked,
     refuse_given,
     silent,
 )
 from splitknit.errors import BadInput, require
+from splitknit_match.threads import one_blas_thread
 
 if TYPE_CHECKING:  # a comparison of templates loads neither
     import numpy as np
@@ -26,15 +27,16 @@ if TYPE_CHECKING:  # a comparison of templates loads neither
     from splitknit import Capture, Reconstruction
     from splitknit_match.matching.results import Match, TemplateMade
 
-    Finger = Reconstruction | Capture | NDArray[np.uint8] | bytes | AnyPath
+    Finger = Reconstruction | Capture | NDArray[np.generic] | bytes | AnyPath
 else:
     Finger = AnyPath
     Match = TemplateMade = Any
 
-Method = Literal["auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae"]
+Method = Literal["auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae"] | str
 
 
 @checked
+@one_blas_thread()
 def match(
     a: Finger,
     b: Finger,
@@ -45,7 +47,6 @@ def match(
     fmr: float | None = None,
     decision: AnyPath | None = None,
     template: AnyPath | None = None,
-    input_ppi: float | None = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     resolution_ppi: float | None = None,
@@ -58,6 +59,8 @@ def match(
     a, b : path, array (H, W) uint8, bytes of a template, Reconstruction or Capture
         See :func:`match_or_make_template`.
     method : {"auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae"}, optional
+        Or your own: an entry point of ``splitknit.matchers``, or ``module:function``, called with
+        two prints (H, W) uint8 at 500 ppi, ridges dark; it returns the similarity.
     preset : str, optional
         How captures are reconstructed.
     settings : mapping, optional
@@ -69,14 +72,12 @@ def match(
         False match rates of your own prints, as ``splitknit evaluate --calibrate`` writes them.
     template : path, optional
         Write the template of `a` (.skt).
-    input_ppi : float, optional
-        Pixels per inch of prints whose files do not state it.
     mask : path, optional
         Of a photograph: an image of its size, white on the finger.
     box : str, optional
         Of a photograph: ``X,Y,W,H`` of the part in which the finger lies.
     resolution_ppi : float, optional
-        Pixels per inch of prints that come as arrays, ridges dark.
+        Pixels per inch of arrays, ridges dark; where none is an array, of the files.
     progress : called with the name of a stage and the fraction done, optional
 
     Returns
@@ -98,9 +99,10 @@ def match(
     'match'
     """
     from splitknit.settings import override
-    from splitknit_match.matching.inputs import Side, held, is_photo, read_side
+    from splitknit_match.matching.inputs import Pixels, Side, held, is_photo, read_side
     from splitknit_match.matching.methods import (
         auto_method,
+        check_rate,
         check_template_file,
         compare_sides,
         write_template_file,
@@ -109,21 +111,23 @@ def match(
     from splitknit_match.matching.surface import MatchingSettings
     from splitknit_match.prints.photo_finger import PhotoFinger
 
-    require(fmr is None or 0 < fmr < 1, f"`fmr` must lie between 0 and 1, but it is {fmr}.")
+    check_rate(fmr)
     fingers = held(a, resolution_ppi), held(b, resolution_ppi)
     thesis = override(MatchingSettings(), settings or {}).thesis
     own = None if decision is None else read_own_rates(Path(decision))
     target = None if template is None else Path(template)
     check_template_file(target, *fingers)
     where = PhotoFinger(mask, box)
-    photos = [(input_ppi is not None or where.chosen) and is_photo(finger) for finger in fingers]
+    # beside an array it is the array's
+    file_ppi = None if any(isinstance(each, Pixels) for each in fingers) else resolution_ppi
+    photos = [(file_ppi is not None or where.chosen) and is_photo(finger) for finger in fingers]
     chosen = int(photos[1] and not photos[0])  # whose finger `mask` and `box` choose
 
     def read(number: int) -> Side:
         return read_side(
             fingers[number], preset, silent if number else progress,
             # beside a print it is the photograph's
-            input_ppi if photos[number] or not any(photos) else None,
+            file_ppi if photos[number] or not any(photos) else None,
             where=where if number == chosen else None,
         )  # fmt: skip
 
@@ -142,21 +146,21 @@ def match(
         raise BadInput(f"'{decision}' is for the method {own.method}, but {by} compares these.")
     progress("comparing", 0.9)
     result = compare_sides(
-        by, left, right, fmr=fmr, own=own, thesis=thesis, known_scale=input_ppi is not None
+        by, left, right, fmr=fmr, own=own, thesis=thesis, known_scale=file_ppi is not None
     )
-    written = write_template_file(target, left)
     progress("done", 1.0)
+    written = write_template_file(target, left)
     return replace(result, template=written)
 
 
 @checked
+@one_blas_thread()
 def make_template(
     finger: Finger,
     template: AnyPath | None = None,
     preset: Preset = "metric",
     settings: Settings = None,
     *,
-    input_ppi: float | None = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     resolution_ppi: float | None = None,
@@ -169,13 +173,13 @@ def make_template(
     finger : path, array (H, W) uint8, bytes of a template, Reconstruction or Capture
     template : path, optional
         File to write (.skt).
-    preset, settings, input_ppi, mask, box, resolution_ppi, progress : optional
+    preset, settings, mask, box, resolution_ppi, progress : optional
         As of :func:`match`.
 
     Returns
     -------
     TemplateMade
-        ``payload``: the template as bytes, which `match`, `identify` and `enroll` take.
+        ``payload``: what a `.skt` file holds, which `match`, `identify` and `enroll` take.
 
     Raises
     ------
@@ -197,15 +201,17 @@ def make_template(
     )
     from splitknit_match.matching.results import TemplateMade
     from splitknit_match.matching.surface import MatchingSettings
+    from splitknit_match.matching.template import VERSION
     from splitknit_match.prints.photo_finger import PhotoFinger
+    from splitknit_match.records.templates import encode_template
 
     override(MatchingSettings(), settings or {})  # refuses unknown ones
     source, target = held(finger, resolution_ppi), None if template is None else Path(template)
     check_template_file(target, source)
-    side = read_side(source, preset, progress, input_ppi, where=PhotoFinger(mask, box))
-    written = write_template_file(target, side)
+    side = read_side(source, preset, progress, resolution_ppi, where=PhotoFinger(mask, box))
     progress("done", 1.0)
-    payload = undoubted(side).payload
+    written = write_template_file(target, side)
+    payload = encode_template(undoubted(side).payload, VERSION)
     return TemplateMade(compared_side(side), written, payload, template_findings(side))
 
 
@@ -219,7 +225,7 @@ def match_or_make_template(
     fmr: float | None = None,
     decision: AnyPath | None = None,
     template: AnyPath | None = None,
-    input_ppi: InputPpi = None,
+    resolution_ppi: ResolutionPpi = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     raw: bool = False,
@@ -240,7 +246,8 @@ def match_or_make_template(
         auto (the default: fusion of two prints, minutiae where one holds minutiae only, else
         ridge), ridge, fusion (of ridges and minutiae of two prints), thesis (local binary patterns;
         needs captures or results), thesis-code (as the author's program has them), minutiae (of the
-        prints, compared by NIST's bozorth3; needs the extra minutiae, on x86-64 Linux).
+        prints, compared by NIST's bozorth3; needs the extra minutiae, on x86-64 Linux), or your own
+        MODULE:FUNCTION.
     preset
         How captures are reconstructed.
     fmr
@@ -273,7 +280,7 @@ def match_or_make_template(
     14321
     """
     finger: dict[str, Any] = {
-        "input_ppi": input_ppi,
+        "resolution_ppi": resolution_ppi,
         "mask": mask,
         "box": box,
         "template": template,

@@ -4,7 +4,8 @@ out."""
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import cache, partial
 from pathlib import Path
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from splitknit import BadInput
 from splitknit.errors import naming, require
 from splitknit.findings import Finding, Severity, worst_first
+from splitknit.registry import own_object
 from splitknit_match.matching.fusion import at_one_scale, can_fuse, fused_match, fused_photo
 from splitknit_match.matching.inputs import Side, undoubted
 from splitknit_match.matching.parameters import DECIDED_AT, SMALL_MM2
@@ -54,6 +56,8 @@ TABLES = {
 }
 """Impostor scores, made by validation/match/impostors.py of simulated fingers and by windows.py of
 real prints."""
+OwnMatcher = Callable[[NDArray[np.uint8], NDArray[np.uint8]], float]
+"""From two prints (H, W) at 500 ppi, ridges dark, to a similarity; NaN: not compared."""
 REAL_PRINTS = "match_fmr_real_prints.json"
 """The fusion's impostor scores of real prints, which state the rates that are not too small for
 them."""
@@ -96,8 +100,10 @@ def compare_sides(
         match = _by_ridges_and_minutiae(a, b, photos if any(photos) and not known_scale else None)
     elif method == "minutiae":
         match = _by_minutiae(a, b)
-    else:
+    elif method in ("thesis", "thesis-code"):
         match = _by_images(method, thesis, a, b)
+    else:
+        match = _by_own(method, a, b)
     doubts = [side.doubt for side in (a, b) if side.doubt is not None]
     match = _rated(match, scores, fmr, own, doubts)
     findings = [*a.findings, *b.findings, *match.findings]
@@ -261,6 +267,19 @@ def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> Match
         dissimilarity=match.dissimilarity or None,
         alignment=PlaneAlignment(right_mm=match.shift_px / images[0].px_per_mm),
     )
+
+
+def own_matcher(name: str) -> OwnMatcher:
+    """Somebody's own matcher. Raises BadInput if there is none of the name."""
+    known = ("auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae")
+    return own_object("matcher", name, known)  # type: ignore[no-any-return]
+
+
+def _by_own(method: str, a: Side, b: Side) -> Match:
+    similarity = float(own_matcher(method)(_print_of(a), _print_of(b)))
+    sides = compared_side(a), compared_side(b)
+    compared = all(side.acquired for side in sides) and math.isfinite(similarity)
+    return Match(method=method, a=sides[0], b=sides[1], similarity=similarity, compared=compared)
 
 
 def _template(side: Side) -> Template:
@@ -438,7 +457,10 @@ def rate(
     rated = Rated(fmr=table(similarity - table.rounding), fmr_basis=table.basis)
     at = max(DECIDED_AT, table.smallest) if fmr is None else fmr
     if at < table.smallest and scores == "windows":
-        why = f"on small prints false match rates below {table.smallest:.2g} were not measured"
+        why = (
+            f"on small prints false match rates below {table.smallest:.2g} were not measured;"
+            " leave `fmr` out, or give a larger one"
+        )
         return replace(rated, undecided=why)
     threshold = table.threshold(at)
     match = similarity >= threshold
@@ -451,6 +473,12 @@ def rate(
     expected = table.beyond(at)[1] if at < table.smallest else None
     decision = MatchDecision(match, at, threshold, expected)
     return replace(rated, decision=decision, answer="match" if match else "no match")
+
+
+def check_rate(fmr: Any) -> None:
+    """Raise BadInput if the rate at which is to be decided is none."""
+    sound = fmr is None or (isinstance(fmr, int | float) and 0 < fmr < 1)
+    require(sound, f"`fmr` must lie between 0 and 1, but it is {fmr!r}.")
 
 
 def fmr_basis(method: str = "ridge") -> FmrBasis:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from splitknit.arguments import text_of
@@ -168,9 +168,9 @@ class TemplateMade:
     a: ComparedSide
     template: TemplateFile | None
     """The file, where one was written."""
-    payload: bytes | None = None
-    """The template itself, which `match`, `identify` and `enroll` take; no bytes for a failure to
-    acquire."""
+    payload: bytes | None = field(default=None, repr=False)
+    """What a `.skt` file holds, which `match`, `identify` and `enroll` take; no bytes for a failure
+    to acquire."""
     findings: tuple[Finding, ...] = ()
     """What was assumed of the finger, worst first."""
 
@@ -272,7 +272,8 @@ def _number(match: Match, score: float) -> str:
 
 
 def _score(match: Match) -> str:
-    return f"{_number(match, match.similarity)} ({_SCALES[match.method]})"
+    scale = _SCALES.get(match.method, "higher is more similar")
+    return f"{_number(match, match.similarity)} ({scale})"
 
 
 def _how(match: Match) -> list[str]:

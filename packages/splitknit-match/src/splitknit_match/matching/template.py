@@ -11,7 +11,7 @@ own). A finger that could not be acquired is a payload of zero bytes.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -53,12 +53,12 @@ _NO_MINUTIAE = b"SKMI"
 class Template:
     """One finger, ready to be compared; empty if nothing could be acquired."""
 
-    level: NDArray[np.uint8]
+    level: NDArray[np.uint8] = field(repr=False)
     """(H, W) 0 to 3: deep valley, valley, ridge, high ridge; 0 where not `valid`."""
-    valid: BoolArray
+    valid: BoolArray = field(repr=False)
     """(H, W)."""
     pitch_mm: float
-    minutiae: Minutiae | None = None
+    minutiae: Minutiae | None = field(default=None, repr=False)
     """Minutiae of a print; None where none were sought or found."""
     lacks: str = ""
     """Why nothing could be acquired, where it is known; not kept."""

@@ -83,7 +83,7 @@ def export_records(
     compression: str = "none",
     owner: int = VENDOR_UNKNOWN,
     minutiae: str = "phase",
-    input_ppi: float | None = None,
+    resolution_ppi: float | None = None,
     preset: str = "metric",
     progress: Progress = no_progress,
 ) -> Facts:
@@ -109,12 +109,12 @@ def export_records(
         "compression": compression,
         "owner": owner,
         "minutiae": minutiae,
-        "input_ppi": input_ppi,
+        "resolution_ppi": resolution_ppi,
         "preset": preset,
     }
 
     def files(source: Path, hashes: dict[str, str]) -> Iterator[File]:
-        for item in _fingers(source, hashes, input_ppi, preset):
+        for item in _fingers(source, hashes, resolution_ppi, preset):
             stated = item.view or item.picture
             assert stated is not None
             own = stated.impression
@@ -223,7 +223,7 @@ def _exported(
 
 
 def _fingers(
-    source: Path, hashes: dict[str, str], input_ppi: float | None, preset: str
+    source: Path, hashes: dict[str, str], resolution_ppi: float | None, preset: str
 ) -> Iterator[_Finger]:
     require(
         os.path.exists(source),  # noqa: PTH110
@@ -237,7 +237,7 @@ def _fingers(
         yield _of_surface(source, name, preset, hashes)
     else:
         hashes[source.name] = file_hash(source)
-        prints = read_print_file(source, input_ppi)
+        prints = read_print_file(source, resolution_ppi)
         for number, item in enumerate(prints, start=1):
             numbered = name if len(prints) == 1 else f"{name}-{number}"
             if isinstance(item, PrintFile):

@@ -127,10 +127,10 @@ def write_print(
     return facts
 
 
-def print_of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
+def print_of_file(path: Path, resolution_ppi: float | None) -> tuple[Source, Print]:
     """The only print of a file. Raises BadInput, naming it, if it holds minutiae or has no
     ridges."""
-    item = read_one_finger(path, input_ppi)
+    item = read_one_finger(path, resolution_ppi)
     if not isinstance(item, PrintFile):
         raise BadInput(
             f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture."

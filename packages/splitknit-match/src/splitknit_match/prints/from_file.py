@@ -54,24 +54,25 @@ _TURNED = Finding("white-ridges", "its ridges were white and have been turned da
 
 
 def read_print_file(
-    path: str | os.PathLike[str], input_ppi: float | None = None
+    path: str | os.PathLike[str], resolution_ppi: float | None = None
 ) -> tuple[PrintFile | FingerView, ...]:
     """Read the prints of a file, of known resolution, or its minutiae.
 
     White ridges are turned dark, which a finding of the print says.
 
-    `path`: of any format of :data:`splitknit_match.records.print_formats.FORMATS`; `input_ppi`:
-    resolution of pictures, whatever they state. Raises BadInput as
+    `path`: of any format of :data:`splitknit_match.records.print_formats.FORMATS`;
+    `resolution_ppi`: resolution of pictures, whatever they state. Raises BadInput as
     :func:`splitknit_match.records.print_formats.read_prints`; if a picture does not state its
     resolution, with the one that its ridges suggest; or if it is below 200 or above 5080 ppi.
     """
     require(
-        input_ppi is None or MIN_PPI <= input_ppi <= MAX_PPI,
-        f"`input_ppi` must be a number from {MIN_PPI:g} to {MAX_PPI:g}, but it is {input_ppi}.",
+        resolution_ppi is None or MIN_PPI <= resolution_ppi <= MAX_PPI,
+        f"`resolution_ppi` must be a number from {MIN_PPI:g} to {MAX_PPI:g}, but it is"
+        f" {resolution_ppi}.",
     )
     return tuple(
         (
-            prepared(_resolved(item, os.fspath(path), input_ppi))
+            prepared(_resolved(item, os.fspath(path), resolution_ppi))
             if isinstance(item, PrintFile)
             else item
         )
@@ -79,12 +80,12 @@ def read_print_file(
     )
 
 
-def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | FingerView:
+def read_one_finger(path: Path, resolution_ppi: float | None = None) -> PrintFile | FingerView:
     """Read the only print, or the minutiae of the only finger, of a file.
 
     Raises BadInput as :func:`read_print_file`, or if the file holds several.
     """
-    prints = read_print_file(path, input_ppi)
+    prints = read_print_file(path, resolution_ppi)
     require(
         len(prints) == 1,
         f"{path} holds {len(prints)} prints; take them apart with 'splitknit import'.",
@@ -118,19 +119,19 @@ def print_at_500_ppi(item: PrintFile) -> PrintFile:
     )
 
 
-def _resolved(item: PrintFile, name: str, input_ppi: float | None) -> PrintFile:
+def _resolved(item: PrintFile, name: str, resolution_ppi: float | None) -> PrintFile:
     stated = item.resolution_ppi
-    if input_ppi is None and (stated is None or stated < MIN_PPI):
+    if resolution_ppi is None and (stated is None or stated < MIN_PPI):
         fault = (
             "does not state its resolution"
             if stated is None
             else f"states {stated:.0f} ppi, too few for ridges"
         )
         raise BadInput(f"{name} {fault}; {_suggestion(item.image)}.")
-    ppi = input_ppi or stated or 0.0
+    ppi = resolution_ppi or stated or 0.0
     require(
         ppi <= MAX_PPI,
-        f"{name} states {ppi:.0f} ppi, more than {MAX_PPI:g}; give the true value: `input_ppi`"
+        f"{name} states {ppi:.0f} ppi, more than {MAX_PPI:g}; give the true value: `resolution_ppi`"
         " 500.",
     )
     return replace(item, resolution_ppi=float(ppi))
@@ -141,14 +142,14 @@ def _suggestion(image: GreyArray) -> str:
     if period is None:
         return (
             "it shows no ridges to measure it by: give it in pixels per inch, such as"
-            " `input_ppi` 500"
+            " `resolution_ppi` 500"
         )
     low, high = (
         10 * round(period * 2.54 / (USUAL_PERIOD_MM * times)) for times in USUAL_PERIODS[::-1]
     )
     return (
         f"its ridges lie {period:.1f} pixels apart, which fits {low} to {high} pixels per inch:"
-        " give the value of the scanner's data sheet, such as `input_ppi` 500"
+        " give the value of the scanner's data sheet, such as `resolution_ppi` 500"
     )
 
 

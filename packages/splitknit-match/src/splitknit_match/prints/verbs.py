@@ -10,10 +10,10 @@ from cyclopts import Parameter
 
 from splitknit.arguments import (
     AnyPath,
-    InputPpi,
     Preset,
     Progress,
     Report,
+    ResolutionPpi,
     checked,
     count,
     refuse_given,
@@ -108,7 +108,7 @@ def print_finger(
     ppi: Literal[500, 1000] = 500,
     px_per_mm: Annotated[float, Limits(1e-3, 1e5)] | None = None,
     ridge_period_mm: Annotated[float | None, Parameter("--ridge-period")] = None,
-    input_ppi: InputPpi = None,
+    resolution_ppi: ResolutionPpi = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     preset: Preset = "metric",
@@ -199,7 +199,7 @@ def print_finger(
             surface=None if surface == "arc" else surface,
             ppi=fine,
             ridge_period_mm=ridge_period_mm,
-            input_ppi=input_ppi,
+            resolution_ppi=resolution_ppi,
         )
         method, surface = "photo", "arc"
     method = method or "unroll"
@@ -207,7 +207,7 @@ def print_finger(
     check_target(target, "map.npz", "an earlier print", keep=path)
     around = None
     if place == "paper":
-        source, printed = folder.print_of_file(path, input_ppi)
+        source, printed = folder.print_of_file(path, resolution_ppi)
     elif method == "rolled":
         from splitknit_match.prints.rolled import print_around  # slow to import
 
@@ -256,7 +256,7 @@ def export(
     compression: Literal["none", "png", "wsq", "jp2"] = "none",
     owner: Annotated[int, Limits(1, 65535), Parameter(converter=_owner, n_tokens=1)] = 0x0103,
     minutiae: Literal["phase", "mindtct"] = "phase",
-    input_ppi: InputPpi = None,
+    resolution_ppi: ResolutionPpi = None,
     preset: Preset = "metric",
     base_mm: Annotated[float | None, Limits(0, 1000, above=True), Parameter("--base")] = None,
     normals: Literal["opengl", "directx"] = "opengl",
@@ -335,7 +335,7 @@ def export(
             compression=compression,
             owner=owner,
             minutiae=minutiae,
-            input_ppi=input_ppi,
+            resolution_ppi=resolution_ppi,
             preset=preset,
             progress=progress,
         )
@@ -343,7 +343,7 @@ def export(
 
 
 def import_prints(
-    files: Sequence[AnyPath], out: AnyPath, input_ppi: float | None, progress: Progress
+    files: Sequence[AnyPath], out: AnyPath, resolution_ppi: float | None, progress: Progress
 ) -> Report:
     """Write prints of other systems as PNG, their minutiae as ISO/IEC 19794-2: a part of
     ``splitknit import``.
@@ -356,7 +356,7 @@ def import_prints(
     for file in places:
         cure = f"photographs of a folder are imported by `images` {file} `lights` FILE"
         require(not file.is_dir(), f"'{file}' is a folder; {cure}.")
-    facts = export_records(places, Path(out), input_ppi=input_ppi, progress=progress)
+    facts = export_records(places, Path(out), resolution_ppi=resolution_ppi, progress=progress)
     return Report(facts, tuple(_export_lines(facts)))
 
 

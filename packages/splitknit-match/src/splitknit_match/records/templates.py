@@ -42,12 +42,12 @@ def encode_template(payload: bytes, version: int) -> bytes:
 def is_template(data: bytes) -> bool:
     """Whether a file's content is a template, of any version."""
     try:
-        return bool(_decode_template(data, int.from_bytes(data[8:10], "little")))
+        return bool(decode_template(data, int.from_bytes(data[8:10], "little")))
     except BadInput:
         return False
 
 
-def _decode_template(data: bytes, version: int, name: str = "the template") -> bytes:
+def decode_template(data: bytes, version: int, name: str = "the template") -> bytes:
     """Payload of a template file's content `data`, empty for a failure to acquire; BadInput, with
     `name`, if it is no template, of another version than `version`, incomplete or damaged.
     """
@@ -89,8 +89,8 @@ def _decode_template(data: bytes, version: int, name: str = "the template") -> b
 
 
 def read_template(path: str | os.PathLike[str], version: int) -> bytes:
-    """Payload of a template file; BadInput if it cannot be read, or as :func:`_decode_template`."""
-    return _decode_template(
+    """Payload of a template file; BadInput if it cannot be read, or as :func:`decode_template`."""
+    return decode_template(
         read_bytes(path, LARGEST_TEMPLATE_BYTES + HEADER_BYTES), version, os.fspath(path)
     )
 

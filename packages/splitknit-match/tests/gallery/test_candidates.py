@@ -1,0 +1,90 @@
+"""Templates that another program keeps, searched in memory as a gallery is."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+from pathlib import Path
+
+import pytest
+
+import splitknit_match
+from splitknit.errors import BadInput
+
+from test_open_gallery import PPI, press  # isort: skip
+
+PEOPLE = {"ann": 1, "bob": 2, "cid": 3}
+
+
+@pytest.fixture(scope="module")
+def templates() -> dict[str, bytes]:
+    return {
+        name: splitknit_match.make_template(press(seed), resolution_ppi=PPI).payload or b""
+        for name, seed in PEOPLE.items()
+    }
+
+
+def test_candidates_are_found_as_in_a_gallery(templates, tmp_path: Path, monkeypatch) -> None:
+    gallery = splitknit_match.Gallery(tmp_path / "g.skg")
+    for name, template in templates.items():
+        gallery.enroll(template, name, "right_index")
+    candidates = splitknit_match.Candidates(templates)
+    probe = press(2, -7, 12.0)
+    for most in (200, 1):  # all, and by the index of minutiae
+        monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", most)
+        own = candidates.search(probe, resolution_ppi=PPI, top=1)
+        expected = gallery.identify(probe, resolution_ppi=PPI, top=1)
+        assert own.answer == expected.answer == "match"
+        assert own.candidates[0].person == "bob"
+        assert own.candidates[0].similarity == expected.candidates[0].similarity
+        assert own.searched == expected.searched
+    candidates.remove("bob")
+    assert candidates.search(probe, resolution_ppi=PPI).answer == "no match"
+    candidates.add({"ann": templates["bob"]})  # replaces
+    assert len(candidates) == 2
+    assert candidates.search(probe, resolution_ppi=PPI).candidates[0].person == "ann"
+
+
+def test_what_cannot_be_searched_is_refused(templates) -> None:
+    candidates = splitknit_match.Candidates()
+    assert candidates.search(press(1), resolution_ppi=PPI).answer == "no match"
+    for bad, words in (({"x": templates["ann"][:-9]}, "header states"), ({"x": "a"}, "bytes")):
+        with pytest.raises(BadInput, match=words):
+            candidates.add(bad)
+    with pytest.raises(BadInput, match="holds nothing of person 'x'"):
+        candidates.remove("x")
+    assert len(candidates) == 0
+
+
+def test_raising_in_progress_leaves_nothing(templates, tmp_path: Path, caplog) -> None:
+    def stopped(stage: str, fraction: float) -> None:
+        if fraction == 1.0:
+            raise KeyboardInterrupt
+
+    gallery = splitknit_match.Gallery(tmp_path / "g.skg")
+    with pytest.raises(KeyboardInterrupt):
+        gallery.enroll(templates["ann"], "Ann", "right_index", progress=stopped)
+    assert not (tmp_path / "g.skg").exists()
+    with pytest.raises(KeyboardInterrupt):
+        splitknit_match.make_template(templates["ann"], tmp_path / "a.skt", progress=stopped)
+    assert not (tmp_path / "a.skt").exists()
+    with caplog.at_level(logging.INFO, "splitknit_match"):
+        gallery.enroll(templates["ann"], "Ann", "right_index")
+        gallery.identify(templates["ann"])
+        assert gallery.check().people == 1
+        gallery.remove("Ann")
+    words = " ".join(caplog.messages)
+    assert "enrolled 1 captures" in words and "match" in words and "removed 1" in words
+    assert "Ann" not in words
+
+
+def test_the_example_of_an_own_database(capsys) -> None:
+    """Against SQLite in memory; PostgreSQL differs in the URL alone."""
+    pytest.importorskip("sqlalchemy")
+    path = Path(__file__).parents[4] / "examples" / "own_database.py"
+    spec = importlib.util.spec_from_file_location("own_database", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.main(["sqlite://"]) == 0
+    assert capsys.readouterr().out == "Bob of 2 customers\n"
