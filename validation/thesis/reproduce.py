@@ -120,7 +120,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if any(figure.part == name for figure in wanted)
     ]
     examined = (
-        min(24, options.captures, size.captures // size.sessions) if "figures" in needed else 0
+        min(options.captures, 2 * size.people, size.captures // size.sessions)
+        if "figures" in needed
+        else 0
     )
     print(
         size.words(examined, options.jobs)
@@ -343,7 +345,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--figures", help="numbers with commas; default: all")
     parser.add_argument(
-        "--captures", type=int, default=24, help="that the figures on spectra and surfaces examine"
+        "--captures",
+        type=int,
+        default=24,
+        help="that the figures on spectra and surfaces examine, two a person at most",
     )
     parser.add_argument(
         "--scale", type=float, default=0.4, help="size of the images, 1 = the thesis's"
