@@ -295,7 +295,10 @@ def _section(
                 row["measured"].removesuffix(" exactly"),
             )
             this_run = (here["averaged"], here["single"]) if k == 0 else ("", "")
-            cells = (*published, verdict(row["rule"], row["measured"]), *this_run)
+            judged = verdict(row["rule"], row["measured"])
+            qualified = ", ".join(filter(None, (judged, row["qualifier"])))
+            at_01 = f"; FAR 0.1 % {row['at_far_01']}" if row["at_far_01"] else ""
+            cells = (*published[:3], published[3] + at_01, qualified, *this_run)
             rows.append(
                 "<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in cells) + "</tr>"
             )
@@ -326,7 +329,7 @@ def _picture(out: Path, name: str) -> str:
 
 
 _HEAD = (
-    "<tr><th>#</th><th>claim</th><th>criterion</th><th>published here</th><th>verdict</th>"
+    "<tr><th>#</th><th>claim</th><th>criterion</th><th>on the page of claims</th><th>verdict</th>"
     "<th>this run, gate and averages</th><th>this run, single</th></tr>"
 )
 PAGE = string.Template((HERE / "reproduce.html").read_text(encoding="utf-8"))
