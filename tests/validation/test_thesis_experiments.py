@@ -465,6 +465,9 @@ def test_the_figures_of_pictures_are_measured(tmp_path: Path, thesis: Script) ->
     facts = figures.run(tmp_path / "people", names, out, tmp_path / "scratch", 1, 1)
     assert facts == {"captures": 1, "failures": 0}
     rows = {(row["figure"], row["what"]): float(row["mean"]) for row in read(out / "figures.csv")}
+    first, second = "pr: error between, um", "snk: error between, um"
+    difference = rows["5.9", first] - rows["5.9", second]
+    assert rows["5.9", f"{first} less {second}"] == pytest.approx(difference, abs=0.1)
     assert 15 < rows["3.1", "true relief: peak, cycles per cm"] < 32
     assert rows["3.1", "true shape: peak, cycles per cm"] < 1.5
     assert (

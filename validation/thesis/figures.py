@@ -49,6 +49,16 @@ BANDS = {"shape": (0.0, 2.0), "between": (2.0, 10.0), "ridges": (10.0, 1000.0)}
 BIN_PER_CM = 0.5
 FREQUENCIES = np.arange(1, 121) * BIN_PER_CM
 """Cycles per cm: middles of the bins of :data:`BIN_PER_CM` in which power is summed."""
+DIFFERENCES = (
+    ("3.20 n = 5 power beside the ridges, %", "3.20 n = 3 power beside the ridges, %"),
+    ("3.22 NIR: shape error, um", "3.22 white: shape error, um"),
+    ("3.22 NIR: shape error, um", "3.22 white, enhanced: shape error, um"),
+    ("5.9 pr: error between, um", "5.9 snk: error between, um"),
+    ("5.9 snk: error between, um", "5.9 truth: ridges, um"),
+    ("5.9 ea: ridge correlation", "5.9 snk: ridge correlation"),
+    ("5.9 ea: ridge correlation", "5.9 pr: ridge correlation"),
+)
+"""Figures of a finger that claims 15, 25, 26 and 29 compare: the first less the second."""
 PROFILE_STEP_MM = 0.05
 RESAMPLES = 1000
 
@@ -241,8 +251,14 @@ def summary(found: Sequence[Row], seed: int) -> list[Row]:
         )
     }
     names = [name for name in (found[0] if found else ()) if name not in ("spectra", "profiles")]
+    values |= {name: [row[name] for row in found] for name in names}
+    values |= {
+        f"{first} less {second.split(' ', 1)[1]}": [row[first] - row[second] for row in found]
+        for first, second in DIFFERENCES
+        if {first, second} <= set(names)
+    }
     rows = []
-    for name, each_one in (values | {name: [row[name] for row in found] for name in names}).items():
+    for name, each_one in values.items():
         figure, what = name.split(" ", 1)
         known = np.array(each_one, dtype=np.float64)
         low, high = (float(end) for end in np.quantile(known[picks].mean(axis=1), (0.025, 0.975)))

@@ -120,7 +120,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if any(figure.part == name for figure in wanted)
     ]
     examined = (
-        min(24, options.captures, size.captures // size.sessions) if "figures" in needed else 0
+        min(options.captures, 2 * size.people, size.captures // size.sessions)
+        if "figures" in needed
+        else 0
     )
     print(
         size.words(examined, options.jobs)
@@ -293,7 +295,10 @@ def _section(
                 row["measured"].removesuffix(" exactly"),
             )
             this_run = (here["averaged"], here["single"]) if k == 0 else ("", "")
-            cells = (*published, verdict(row["rule"], row["measured"]), *this_run)
+            judged = verdict(row["rule"], row["measured"])
+            qualified = ", ".join(filter(None, (judged, row["qualifier"])))
+            at_01 = f"; FAR 0.1 % {row['at_far_01']}" if row["at_far_01"] else ""
+            cells = (*published[:3], published[3] + at_01, qualified, *this_run)
             rows.append(
                 "<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in cells) + "</tr>"
             )
@@ -324,7 +329,7 @@ def _picture(out: Path, name: str) -> str:
 
 
 _HEAD = (
-    "<tr><th>#</th><th>claim</th><th>criterion</th><th>published here</th><th>verdict</th>"
+    "<tr><th>#</th><th>claim</th><th>criterion</th><th>on the page of claims</th><th>verdict</th>"
     "<th>this run, gate and averages</th><th>this run, single</th></tr>"
 )
 PAGE = string.Template((HERE / "reproduce.html").read_text(encoding="utf-8"))
@@ -343,7 +348,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--figures", help="numbers with commas; default: all")
     parser.add_argument(
-        "--captures", type=int, default=24, help="that the figures on spectra and surfaces examine"
+        "--captures",
+        type=int,
+        default=24,
+        help="that the figures on spectra and surfaces examine, two a person at most",
     )
     parser.add_argument(
         "--scale", type=float, default=0.4, help="size of the images, 1 = the thesis's"

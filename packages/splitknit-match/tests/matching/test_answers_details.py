@@ -260,7 +260,10 @@ def test_smaller_rates_are_extrapolated_but_not_of_small_prints() -> None:
     assert rated.decision.threshold == pytest.approx(TABLE.beyond(1e-4)[0], abs=2e-5)
     assert rated.decision.expected_fmr == TABLE.beyond(1e-4)[1]
     small = methods.rate(3.0, "windows", None, 1e-4, TABLE)
-    assert small.undecided == "on small prints false match rates below 0.001 were not measured"
+    assert small.undecided == (
+        "on small prints false match rates below 0.001 were not measured; leave `fmr` out, or give"
+        " a larger one"
+    )
     assert (small.fmr, small.decision) == (0.001, None)
     assert methods.rate(3.0, "windows", None, 1e-3, TABLE).answer == "match"
     with pytest.raises(BadInput, match=r"rates below 1e-05 cannot .* 999 .*>= 1e-05.*gave 9e-06"):

@@ -341,7 +341,7 @@ def test_the_resolution_and_the_mask_are_of_the_photograph(  # noqa: PLR0917
         *files,
         "fusion",
         preset="snk",
-        input_ppi=400.0,
+        resolution_ppi=400.0,
         box="1,2,3,4",
         progress=lambda stage, fraction: stages.append((stage, fraction)),
     )
@@ -395,7 +395,7 @@ def test_a_template_is_made_and_written(reads: list, tmp_path: Path) -> None:
         "photo",
         target,
         "snk",
-        input_ppi=400.0,
+        resolution_ppi=400.0,
         box="1,2,3,4",
         progress=lambda stage, fraction: stages.append((stage, fraction)),
     )
@@ -403,7 +403,7 @@ def test_a_template_is_made_and_written(reads: list, tmp_path: Path) -> None:
     assert read[:3] == (Path("photo"), "snk", 400.0)
     assert read[3].box == "1,2,3,4"
     assert stages == [("reading", 0.1), ("done", 1.0)]
-    assert template.payload == side_of("print").payload
+    assert template.payload == target.read_bytes()
     assert template.template.bytes == target.stat().st_size
     assert template.a.path == "photo"
     match_module.match_or_make_template("photo", template=target, preset="lin")
@@ -499,10 +499,14 @@ def test_scores_are_printed_where_they_are_wanted(rated: list, tmp_path: Path) -
     assert template.template.file == str(tmp_path / "b.skt")
 
 
-@pytest.mark.parametrize(("input_ppi", "known"), [(400.0, True), (None, False)])
+@pytest.mark.parametrize(
+    ("finger", "resolution_ppi", "known"),
+    [("print", 400.0, True), ("print", None, False), (np.zeros((9, 9), np.uint8), 500.0, False)],
+)
 def test_a_stated_resolution_is_the_scale_of_a_photograph(
-    reads: list, monkeypatch, input_ppi: float | None, known: bool
+    reads: list, monkeypatch, finger: Any, resolution_ppi: float | None, known: bool
 ) -> None:
+    """Beside an array it is the array's."""
     handed: dict[str, Any] = {}
     match = compared_once()
 
@@ -511,10 +515,9 @@ def test_a_stated_resolution_is_the_scale_of_a_photograph(
         return match
 
     monkeypatch.setattr(methods, "compare_sides", compare)
-    image = np.zeros((9, 9), np.uint8)
-    splitknit_match.match(image, "photo", input_ppi=input_ppi, resolution_ppi=500)
+    splitknit_match.match(finger, "photo", resolution_ppi=resolution_ppi)
     assert handed["known_scale"] is known
-    assert isinstance(reads[0][0], Pixels)
+    assert isinstance(reads[0][0], Pixels) == (not isinstance(finger, str))
 
 
 def compared_once() -> Any:

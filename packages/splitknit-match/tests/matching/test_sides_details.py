@@ -177,7 +177,7 @@ def test_a_photograph_is_a_side_with_its_quality(
     path = tmp_path / "a.jpg"
     path.write_bytes(b"")
     where = inputs.PhotoFinger(None, "1,2,3,4")
-    side = read_side(path, "metric", input_ppi=508.0, where=where)
+    side = read_side(path, "metric", resolution_ppi=508.0, where=where)
     assert asked == [(path, pytest.approx(20.0), where, "photo")]
     assert prints_made == [(source.flat, "ridges")]
     assert (side.path, side.kind, side.quality, side.surface) == (path, "photo", 61.0, None)

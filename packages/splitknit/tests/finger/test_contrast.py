@@ -55,6 +55,15 @@ def test_equalised_light_keeps_its_range_and_fine_levels():
     np.testing.assert_allclose(clahe(image * np.float32(7.0), 75.7), result, atol=1e-4)
 
 
+def test_the_camera_s_full_scale_is_white_where_the_skin_is_not():
+    image = picture()
+    image[:2, :64] = 1.0
+    camera = ClaheSettings(white="camera")
+    np.testing.assert_allclose(clahe(image, 75.7, camera), clahe(image, 75.7), atol=1e-4)
+    dark = image * np.float32(0.1)
+    assert clahe(dark, 75.7, camera).mean() < 0.8 * clahe(dark, 75.7).mean()
+
+
 def test_the_clip_limit_bounds_the_gain():
     y, x = np.mgrid[0:320, 0:320]
     # hardly any contrast

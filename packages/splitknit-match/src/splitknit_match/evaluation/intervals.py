@@ -278,7 +278,7 @@ def _decided(scores: Scores, targets: Sequence[float]) -> dict[str, BoolArray]:
     """Genuine comparisons (N,) that are accepted where each figure is read."""
     curve = roc(scores.genuine, scores.impostor)
     thresholds = {"eer": curve.equal_error().threshold}
-    for part, ending in ((curve, ""), (curve.made(), "_made")):
+    for part, ending in ((curve, ""), (curve.scored(), "_made")):
         for target in targets:
             thresholds[f"gar@{target:g}{ending}"] = part.at_far(target).threshold
     return {name: _accepted(scores.genuine, value) for name, value in thresholds.items()}

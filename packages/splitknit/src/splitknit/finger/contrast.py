@@ -38,6 +38,9 @@ class ClaheSettings(Checked):
     clip_limit: Annotated[float, Limits(1)] = 3.0
     """Bins are clipped at this multiple of the mean bin (thesis: 2 to 4); contrast grows by at most
     this plus one."""
+    white: Literal["skin", "camera"] = "skin"
+    """What becomes white first: the brightest ``skin``, or the ``camera``'s full scale, as in the
+    thesis author's program; then exposure matters."""
 
 
 def clahe(
@@ -63,7 +66,9 @@ def clahe(
     mask = check_mask(mask, (image.shape[0], image.shape[1]))
     box = bounding_box(mask)
     inside = mask[box]
-    white = float(np.percentile(image[box][inside], WHITE_PERCENTILE))
+    white = 1.0
+    if settings.white == "skin":
+        white = float(np.percentile(image[box][inside], WHITE_PERCENTILE))
     grey = np.clip(image[box] / max(white, 1e-12), 0.0, 1.0)
     if settings.grey == "srgb":
         grey = srgb_code(grey)
