@@ -121,11 +121,11 @@ def cell(rows: Sequence[Row], wanted: Mapping[str, str], figure: str) -> str:
         for way in ("finger", "subject")
     ]
     ends = ends if rate else [[row["low"], row["high"]], [None, None]]
-    shown = [_digits(row[figure], rate)]
+    words = [_digits(row[figure], rate)]
     for bounds, (left, right) in zip(ends, ("[]", "()"), strict=True):
         if all(bounds):
-            shown.append(left + ", ".join(_digits(end, rate) for end in bounds) + right)
-    return " ".join(shown)
+            words.append(left + ", ".join(_digits(end, rate) for end in bounds) + right)
+    return " ".join(words)
 
 
 def _digits(value: str, rate: bool) -> str:

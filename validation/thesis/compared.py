@@ -99,12 +99,12 @@ def compare_pairs(  # noqa: PLR0917
         for block in np.split(order, starts[7::8])
     ]
     rows = np.concatenate(each(partial(_compare, read, tuple(ways), scratch), tasks, jobs))
-    found = np.empty_like(rows)
-    found[order] = rows
-    ratio = found[:, 0]
+    by_capture = np.empty_like(rows)
+    by_capture[order] = rows
+    ratio = by_capture[:, 0]
     gated = 1.0 - np.exp(2.0 - ratio)
     return tuple(
-        Trial(way.name, "thesis", way.attribute, 1.0 - found[:, 1 + k], ratio, gated)
+        Trial(way.name, "thesis", way.attribute, 1.0 - by_capture[:, 1 + k], ratio, gated)
         for k, way in enumerate(ways)
     )
 
@@ -138,8 +138,8 @@ def _compare(
     for k in rows:
         of_query.setdefault(task[k][1], []).append(k)
     needed = dict.fromkeys(name for way in ways for name in way.channels)
-    for other, against in of_query.items():
-        query = read(other)
+    for second, against in of_query.items():
+        query = read(second)
         for k in against:
             database = databases[task[k][0]]
             if database is None or query is None:
@@ -209,16 +209,16 @@ def kept_images(file: Path, make: Callable[[], FingerImages | None]) -> None:
     if file.is_file():
         return
     try:
-        made = make()
+        images = make()
     except ValueError:
-        made = None
-    if made is None:
+        images = None
+    if images is None:
         keep(file, lambda stream: np.savez(stream, mask=np.zeros((0, 0), np.bool_), px_per_mm=1.0))
     else:
         keep(
             file,
             lambda stream: np.savez(
-                stream, mask=made.mask, px_per_mm=made.px_per_mm, **made.channels
+                stream, mask=images.mask, px_per_mm=images.px_per_mm, **images.channels
             ),
         )
 

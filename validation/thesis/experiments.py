@@ -59,8 +59,8 @@ def run_fusion(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]
     rows = rate_rows(work, trials, options.jobs, FUSION_VARIANTS)
     differences = difference_rows(work, groups, (THESIS_WHOLE, WHOLE), options.jobs)
     _write(options, "fusion", rows, differences)
-    shown = [trial for trial in trials if trial.case == cases[0] and _in_figure(trial)]
-    _rocs(options, work, "figure-5-3", shown, lambda trial: trial.attribute.replace("_", " "))
+    drawn = [trial for trial in trials if trial.case == cases[0] and _in_figure(trial)]
+    _rocs(options, work, "figure-5-3", drawn, lambda trial: trial.attribute.replace("_", " "))
     return _facts(table, trials) | {
         "with_minutiae": _fusion_with_minutiae(options, store, truth, captures, cases)
     }
@@ -395,7 +395,10 @@ def discarded_by_roll(captures: Captures, truth: Mapping[str, Row]) -> Row:
     spread = np.array(list(spreads(captures.finger, rolls).values()))
     same = [rolls[captures.finger == name] for name in np.unique(captures.finger)]
     pairs = np.concatenate(
-        [np.abs(np.subtract.outer(one, one))[np.triu_indices(one.size, 1)] for one in same]
+        [
+            np.abs(np.subtract.outer(values, values))[np.triu_indices(values.size, 1)]
+            for values in same
+        ]
     )
     limits = (8.0, 10.0, 15.0, 20.0)
     return {
@@ -457,7 +460,7 @@ def _rocs(  # noqa: PLR0917
             (label(trial), judged(work.table.pairs, trial, variant, work.known, work.passing))
             for trial in trials
         ]
-        curves = [(words, one) for words, one in scores if one is not None]
+        curves = [(words, curve) for words, curve in scores if curve is not None]
         if curves:
             save(roc_figure(curves, settings), options.out / f"{name}{ending}.svg")
 

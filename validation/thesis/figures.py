@@ -71,19 +71,19 @@ def run(  # noqa: PLR0917
     """Write ``figures.csv``, ``figure_spectra.csv`` and the plots of the captures `chosen`; return
     the facts."""
     each(partial(_keep, population, scratch), chosen, jobs)
-    found = [json.loads(_file(scratch, name).read_text(encoding="utf-8")) for name in chosen]
-    known = [row for row in found if row]
+    records = [json.loads(_file(scratch, name).read_text(encoding="utf-8")) for name in chosen]
+    known = [row for row in records if row]
     write_csv(out / "figures.csv", summary(known, seed))
     if known:
         _draw(known, out)
-        shown = next(name for name, row in zip(chosen, found, strict=True) if row)
-        capture = read_capture(population / shown)
+        first_name = next(name for name, row in zip(chosen, records, strict=True) if row)
+        capture = read_capture(population / first_name)
         write_image(out / "figure-5-9-surfaces.png", surfaces(capture))
         write_image(out / "figure-3-22-shapes.png", shapes(capture))
     if (out / "cases.csv").is_file():
         with (out / "cases.csv").open(encoding="utf-8", newline="") as stream:
             save(bars_figure(accuracies(list(csv.DictReader(stream)))), out / "figure-5-6.svg")
-    return {"captures": len(known), "failures": len(found) - len(known)}
+    return {"captures": len(known), "failures": len(records) - len(known)}
 
 
 def choose(names: Sequence[str], seed: int) -> list[str]:
@@ -231,29 +231,31 @@ def _profiles(
         "truth": truth["height_mm"],
         **{case: result.height_mm for case, result in results.items()},
     }
-    shown = {
+    fields = {
         name: np.asarray(field[along, column], dtype=np.float64) for name, field in heights.items()
     }
-    found = {name: (values - np.nanmean(values)).tolist() for name, values in shown.items()}
-    return {"mm": (along * results["snk"].pitch_mm).tolist(), **found}
+    profiles = {name: (values - np.nanmean(values)).tolist() for name, values in fields.items()}
+    return {"mm": (along * results["snk"].pitch_mm).tolist(), **profiles}
 
 
-def summary(found: Sequence[Row], seed: int) -> list[Row]:
+def summary(records: Sequence[Row], seed: int) -> list[Row]:
     """Mean of each figure over captures, with an interval of 95 % drawn by finger."""
     rng = np.random.default_rng([seed, 59])
-    picks = rng.integers(0, max(len(found), 1), (RESAMPLES, len(found)))
+    picks = rng.integers(0, max(len(records), 1), (RESAMPLES, len(records)))
     values = {
-        f"3.1 {name}: {words}": [of(np.array(row["spectra"][name])) for row in found]
-        for name in (found[0]["spectra"] if found else ())
+        f"3.1 {name}: {words}": [of(np.array(row["spectra"][name])) for row in records]
+        for name in (records[0]["spectra"] if records else ())
         for words, of in (
             ("peak, cycles per cm", _peak),
             ("power above 10 cycles per cm, %", _above),
         )
     }
-    names = [name for name in (found[0] if found else ()) if name not in ("spectra", "profiles")]
-    values |= {name: [row[name] for row in found] for name in names}
+    names = [
+        name for name in (records[0] if records else ()) if name not in ("spectra", "profiles")
+    ]
+    values |= {name: [row[name] for row in records] for name in names}
     values |= {
-        f"{first} less {second.split(' ', 1)[1]}": [row[first] - row[second] for row in found]
+        f"{first} less {second.split(' ', 1)[1]}": [row[first] - row[second] for row in records]
         for first, second in DIFFERENCES
         if {first, second} <= set(names)
     }
@@ -276,10 +278,10 @@ def _above(power: Values) -> float:
     return 100.0 * float(power[BANDS["between"][1] <= FREQUENCIES].sum() / power.sum())
 
 
-def _draw(found: Sequence[Row], out: Path) -> None:
+def _draw(records: Sequence[Row], out: Path) -> None:
     spectra = {
-        name: np.mean([row["spectra"][name] for row in found], axis=0)
-        for name in found[0]["spectra"]
+        name: np.mean([row["spectra"][name] for row in records], axis=0)
+        for name in records[0]["spectra"]
     }
     write_csv(
         out / "figure_spectra.csv",
@@ -298,7 +300,7 @@ def _draw(found: Sequence[Row], out: Path) -> None:
     for words in ("ridge correlation", "power beside the ridges, %"):
         factor = 0.01 if words.endswith("%") else 1.0
         values = [
-            factor * np.mean([row[f"3.20 n = {count} {words}"] for row in found])
+            factor * np.mean([row[f"3.20 n = {count} {words}"] for row in records])
             for count in SCALES
         ]
         curves.append((words.removesuffix(", %"), SCALES, values))
@@ -310,7 +312,7 @@ def _draw(found: Sequence[Row], out: Path) -> None:
         lines_figure(curves, "scales of shapelets", "fraction, correlation", **titled),
         out / "figure-3-20.svg",
     )
-    profile = dict(found[0]["profiles"])
+    profile = dict(records[0]["profiles"])
     x = profile.pop("mm")
     sides = [(name, x, np.array(values, dtype=np.float64)) for name, values in profile.items()]
     titled = {"title": "Side view along the middle of one finger"}
@@ -392,8 +394,8 @@ def _side_by_side(
         whole = np.where(first.mask & np.isfinite(height), height, np.float32(np.nan)).astype(
             np.float32
         )
-        shown = replace(first, height_mm=whole, mask=first.mask & np.isfinite(whole))
-        small = small_fields(shown, upright_frame(shown, 700))
+        first_whole = replace(first, height_mm=whole, mask=first.mask & np.isfinite(whole))
+        small = small_fields(first_whole, upright_frame(first_whole, 700))
         views = [
             oblique_view(small, tilt_deg=0.0),
             oblique_view(small, turn_deg=90.0, tilt_deg=80.0),

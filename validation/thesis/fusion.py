@@ -15,8 +15,11 @@ OF_THESIS = {"normals + relief": ("normals", "relief"), "all three": ATTRIBUTES}
 apart."""
 MINUTIAE_SET = "all three + minutiae"
 SETS = {
-    **{name: tuple(("thesis", one) for one in chosen) for name, chosen in OF_THESIS.items()},
-    MINUTIAE_SET: (*(("thesis", one) for one in ATTRIBUTES), ("minutiae", "")),
+    **{
+        name: tuple(("thesis", attribute) for attribute in chosen)
+        for name, chosen in OF_THESIS.items()
+    },
+    MINUTIAE_SET: (*(("thesis", attribute) for attribute in ATTRIBUTES), ("minutiae", "")),
 }
 
 
@@ -38,8 +41,8 @@ def fused(table: Table, case: str, name: str, seed: int) -> list[Trial]:
     systems = [scores_of(table.pairs, part.similarity, part.name) for part in known]
     for way in ("linear", "trained"):
         try:
-            made = fuse(systems, "minmax" if way == "linear" else way, seed)
+            fused = fuse(systems, "minmax" if way == "linear" else way, seed)
         except BadInput:  # too few people to learn from others
             continue
-        ways[way] = replace(known[0], similarity=made.scores.score, gated=None)
+        ways[way] = replace(known[0], similarity=fused.scores.score, gated=None)
     return [replace(trial, attribute=f"{name}, {way}") for way, trial in ways.items()]

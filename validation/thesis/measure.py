@@ -90,7 +90,7 @@ def _difference_row(work: Work, first: Trial, second: Trial, variant: Variant) -
 def rates_of(scores: Scores, settings: BootstrapSettings, methods: Sequence[str] = METHODS) -> Row:
     """GAR at each FAR that the impostors can support, EER and d', each by finger and by subject."""
     impostors = int(np.sum(~scores.label))
-    found = {
+    intervals = {
         way: bootstrap(scores, way, settings).figures
         for way in methods_of(scores)
         if way in methods
@@ -112,19 +112,21 @@ def rates_of(scores: Scores, settings: BootstrapSettings, methods: Sequence[str]
     for target in TARGETS:
         row[f"accepts@{target:g}"] = allowed(target, impostors)
         supported = allowed(target, impostors) >= 1
-        row |= _limits(f"gar@{target:g}", found, f"gar@{target:g}" if supported else "")
-    return row | _limits("eer", found, "eer") | _limits("d_prime", found, "d_prime")
+        row |= _limits(f"gar@{target:g}", intervals, f"gar@{target:g}" if supported else "")
+    return row | _limits("eer", intervals, "eer") | _limits("d_prime", intervals, "d_prime")
 
 
 def differences_of(first: Scores, second: Scores, settings: BootstrapSettings) -> Row:
     """First minus second."""
     impostors = int(np.sum(~first.label))
-    found = {method: differences(first, second, method, settings) for method in methods_of(first)}
+    intervals = {
+        method: differences(first, second, method, settings) for method in methods_of(first)
+    }
     row: Row = {"genuine": int(first.label.sum()), "impostors": impostors}
     for target in TARGETS:
         supported = allowed(target, impostors) >= 1
-        row |= _limits(f"gar@{target:g}", found, f"gar@{target:g}" if supported else "")
-    return row | _limits("eer", found, "eer") | _limits("d_prime", found, "d_prime")
+        row |= _limits(f"gar@{target:g}", intervals, f"gar@{target:g}" if supported else "")
+    return row | _limits("eer", intervals, "eer") | _limits("d_prime", intervals, "d_prime")
 
 
 def allowed(target: float, impostors: int) -> int:
@@ -136,15 +138,17 @@ def methods_of(scores: Scores) -> tuple[str, ...]:
     """Ways of drawing for which there are three to draw at least."""
     ids = {"finger": scores.finger, "subject": scores.subject}
     return tuple(
-        m for m in METHODS if (one := ids[m]) is not None and np.unique(one.codes).size >= 3
+        m
+        for m in METHODS
+        if (clusters := ids[m]) is not None and np.unique(clusters.codes).size >= 3
     )
 
 
-def _limits(name: str, found: dict[str, Any], figure: str) -> Row:
+def _limits(name: str, intervals: dict[str, Any], figure: str) -> Row:
     """The value and its limits by each way of drawing; blank where the figure is not supported."""
     row: Row = {name: None}
     for method in METHODS:
-        interval: Interval | None = found.get(method, {}).get(figure)
+        interval: Interval | None = intervals.get(method, {}).get(figure)
         row[f"{name}_low_{method}"] = None if interval is None else interval.low
         row[f"{name}_high_{method}"] = None if interval is None else interval.high
         row[name] = row[name] if interval is None else interval.value

@@ -91,11 +91,11 @@ def _keep(population: Path, place: Path, name: str) -> None:
         for case, fields in FIELDS.items():
             result = reconstruct(capture, case)
             assert result.normals_measured is not None  # the thesis's cases measure normals
-            found = surface_images(replace(surface_of(result), normals=result.normals_measured))
+            images = surface_images(replace(surface_of(result), normals=result.normals_measured))
             channels |= {
-                field: found.channels[name] for field, name in zip(fields, NORMALS, strict=True)
+                field: images.channels[name] for field, name in zip(fields, NORMALS, strict=True)
             }
-        return replace(found, channels=channels)  # both cases find the same mask
+        return replace(images, channels=channels)  # both cases find the same mask
 
     kept_images(_file(place, name), images)
 

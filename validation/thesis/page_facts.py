@@ -22,12 +22,12 @@ def sensitivity_table(rows: Sequence[Row]) -> Lines:
         if (row["case"], row["matcher"], row["attribute"])
         == (first["case"], first["matcher"], first["attribute"])
     }
-    shown = [
+    headings = [
         f"{low:g} to {high:g} ({counts.get((low, high), '?')})" if first["factor"] != "partial"
         else f"{low + 0.5:g} ({counts.get((low, high), '?')})"
         for low, high in bins
     ]  # fmt: skip
-    lines = [["matcher", "case", *shown]]
+    lines = [["matcher", "case", *headings]]
     for system in dict.fromkeys((row["matcher"], row["attribute"], row["case"]) for row in rows):
         own = {
             (float(row["from"]), float(row["to"])): row

@@ -110,7 +110,7 @@ def thesis_table(
     lines = [
         ["figure", "what", "FAR", "thesis", "impostor pairs", *(JUDGED[key] for key in judged)]
     ]
-    for figure, words, far, said, place in THE_THESIS:
+    for figure, words, far, published, place in THE_THESIS:
         table, case, attribute = place.split(":")
         own = [row for row in tables[table] if (row["case"], row["attribute"]) == (case, attribute)]
         cells = [
@@ -124,7 +124,7 @@ def thesis_table(
             if variant(row) == key
         ]
         pairs = " / ".join(dict.fromkeys(counts)) or "none"
-        lines.append([figure, words, PERCENT[far], said, pairs, *cells])
+        lines.append([figure, words, PERCENT[far], published, pairs, *cells])
     return lines
 
 

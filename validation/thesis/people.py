@@ -78,17 +78,18 @@ def read_tree(root: Path, patterns: Sequence[str]) -> PhotographTree:
         path.as_posix() for path in paths if not any(part.startswith(".") for part in path.parts)
     )
     series = [_photographs(names, pattern) for pattern in patterns]
-    for found, pattern in zip(series, patterns, strict=True):
+    for files_of, pattern in zip(series, patterns, strict=True):
         require(
-            len(found) > 0, f"none of {len(names)} files below {root} fits the pattern {pattern!a}."
+            len(files_of) > 0,
+            f"none of {len(names)} files below {root} fits the pattern {pattern!a}.",
         )
     keys = sorted(set[_Key]().union(*series))
     subjects, sessions = _numbers({key[0] for key in keys}), _numbers({key[1] for key in keys})
-    known = tuple(one for one in FINGERS if one in map(_finger_of, (key[2] for key in keys)))
+    known = tuple(name for name in FINGERS if name in map(_finger_of, (key[2] for key in keys)))
     require(
         len(known) > 0, f"{keys[0][2]!a} is not a known finger; right_index, R2 and 2 would be."
     )
-    lights = [{number for one in found.values() for number in one} for found in series]
+    lights = [{number for files in files_of.values() for number in files} for files_of in series]
     complete: dict[PlannedCapture, tuple[Path, ...]] = {}
     faults, taken = [], dict[PlannedCapture, str]()
     for key in keys:
@@ -99,10 +100,10 @@ def read_tree(root: Path, patterns: Sequence[str]) -> PhotographTree:
         place = PlannedCapture(f"S{subjects[key[0]]:02d}", sessions[key[1]], finger)
         wrong = [f"is also {taken[place]}"] if place in taken else []
         taken.setdefault(place, source)
-        have = [found.get(key, {}) for found in series]
+        have = [files_of.get(key, {}) for files_of in series]
         for band, wanted, there in zip(("white", "NIR"), lights, have, strict=False):
             twice = [name for files in there.values() for name in files[1:]]
-            lacking = [str(one) for one in sorted(wanted - set(there))]
+            lacking = [str(light) for light in sorted(wanted - set(there))]
             wrong += [f"lacks {band} {some_of(lacking)}"] if lacking else []
             wrong += [f"has a second file for a {band} light, {some_of(twice)}"] if twice else []
         if wrong:
@@ -114,15 +115,15 @@ def read_tree(root: Path, patterns: Sequence[str]) -> PhotographTree:
             )
     people, days = range(1, max(subjects.values()) + 1), range(1, max(sessions.values()) + 1)
     planned = [
-        PlannedCapture(f"S{who:02d}", day, one) for day in days for who in people for one in known
+        PlannedCapture(f"S{who:02d}", day, name) for day in days for who in people for name in known
     ]
     absent = [place.words for place in planned if place not in taken]
     faults += [f"nothing is there of {some_of(absent)}."] if absent else []
     used = {
         name
-        for found in series
-        for one in found.values()
-        for files in one.values()
+        for files_of in series
+        for by_light in files_of.values()
+        for files in by_light.values()
         for name in files
     }
     left = [name for name in names if name not in used and Path(name).name != "lights.txt"]
@@ -162,7 +163,7 @@ def _form(pattern: str) -> re.Pattern[str]:
 def _photographs(names: Iterable[str], pattern: str) -> dict[_Key, dict[int, list[str]]]:
     """Files by finger and session, and by light."""
     form = _form(pattern)
-    found: dict[_Key, dict[int, list[str]]] = defaultdict(lambda: defaultdict(list))
+    photographs: dict[_Key, dict[int, list[str]]] = defaultdict(lambda: defaultdict(list))
     for name in names:
         match = (
             form.fullmatch(name)
@@ -170,10 +171,12 @@ def _photographs(names: Iterable[str], pattern: str) -> dict[_Key, dict[int, lis
             else None
         )
         if match:
-            one = {"session": "", "hand": "", **match.groupdict()}
-            finger = f"{one['hand']} {one['finger']}".strip()
-            found[one["subject"], one["session"], finger][int(one["light"])].append(name)
-    return found
+            parts = {"session": "", "hand": "", **match.groupdict()}
+            finger = f"{parts['hand']} {parts['finger']}".strip()
+            photographs[parts["subject"], parts["session"], finger][int(parts["light"])].append(
+                name
+            )
+    return photographs
 
 
 def _of_lights(name: str, pattern: str) -> str:
@@ -201,11 +204,11 @@ def _finger_of(text: str) -> str | None:
 def _numbers(names: Iterable[str]) -> dict[str, int]:
     """A number for each name: the last one in it where all differ and at most half are absent, else
     in order."""
-    parts = {name: [int(one) for one in re.findall(r"\d+", name)] for name in names}
+    parts = {name: [int(digits) for digits in re.findall(r"\d+", name)] for name in names}
     own = {
-        name: found[-1]
-        for name, found in parts.items()
-        if found and 1 <= found[-1] <= 2 * len(parts)
+        name: numbers[-1]
+        for name, numbers in parts.items()
+        if numbers and 1 <= numbers[-1] <= 2 * len(parts)
     }
     order = sorted(parts, key=lambda name: (re.sub(r"\d+", "", name), parts[name], name))
     return (
@@ -236,10 +239,10 @@ def import_people(
             written.append(words)
             continue
         try:
-            given = GivenPhotographs(
+            photographs = GivenPhotographs(
                 images, nir=nir[0] if nir else None, material="skin", **photographs
             )
-            capture, _ = capture_of(given)
+            capture, _ = capture_of(photographs)
         except BadInput as error:
             faults.append(f"{place.words}: {error}")
             continue
@@ -266,20 +269,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--px-per-mm", type=float, help="scale, with a list of lights")
     parser.add_argument("--out", type=Path, required=True, help="population to write")
     parser.add_argument("--dry-run", action="store_true", help="say what goes where, write nothing")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        tree = read_tree(given.tree, [pattern for pattern in (given.images, given.nir) if pattern])
-        known = {"lights": given.lights, "px_per_mm": given.px_per_mm}
-        written, faults = import_people(tree, given.out, known, dry_run=given.dry_run)
+        tree = read_tree(
+            options.tree, [pattern for pattern in (options.images, options.nir) if pattern]
+        )
+        known = {"lights": options.lights, "px_per_mm": options.px_per_mm}
+        written, faults = import_people(tree, options.out, known, dry_run=options.dry_run)
     except BadInput as error:
         sys.exit(str(error))
-    print("\n".join(written if given.dry_run else []))
+    print("\n".join(written if options.dry_run else []))
     print(
         f"{len(tree.captures)} complete captures, {len(written)}"
-        f" {'would be ' if given.dry_run else ''}written."
+        f" {'would be ' if options.dry_run else ''}written."
     )
     print("\n".join(f"Please note: {fault}" for fault in faults))
-    return 0 if written or not faults or given.out.exists() else 2
+    return 0 if written or not faults or options.out.exists() else 2
 
 
 if __name__ == "__main__":

@@ -47,11 +47,11 @@ def main() -> int:
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
     if options.check:
-        made = {**files(HERE), PAGE: fill(PAGE.read_text(encoding="utf-8"), blocks(HERE))}
+        texts = {**files(HERE), PAGE: fill(PAGE.read_text(encoding="utf-8"), blocks(HERE))}
         return int(
             any(
                 not file.is_file() or file.read_text(encoding="utf-8") != text
-                for file, text in made.items()
+                for file, text in texts.items()
             )
         )
     write(HERE, PAGE)
@@ -68,25 +68,25 @@ def write(folder: Path, page: Path) -> None:
 
 def files(folder: Path) -> dict[Path, str]:
     """Each table's file and its text; none of what was not measured."""
-    made = {}
+    tables = {}
     for name, lines in readable(folder).items():
         if len(lines) > 1:
             stream = io.StringIO()
             csv.writer(stream, lineterminator="\n").writerows(lines)
-            made[folder / "tables" / f"{name}.csv"] = stream.getvalue()
-    return made
+            tables[folder / "tables" / f"{name}.csv"] = stream.getvalue()
+    return tables
 
 
-def fill(page: str, made: Mapping[str, str]) -> str:
+def fill(page: str, parts: Mapping[str, str]) -> str:
     """The page with every block in its place.
 
     A block stands between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``.
     """
-    for name, text in made.items():
+    for name, text in parts.items():
         pattern = re.compile(rf"(<!-- begin {name} -->\n).*?(<!-- end {name} -->)", re.DOTALL)
         if not pattern.search(page):
             raise SystemExit(f"{PAGE.name} has no marks for '{name}'.")
-        page = pattern.sub(lambda found, text=text: f"{found[1]}\n{text}\n\n{found[2]}", page)
+        page = pattern.sub(lambda match, text=text: f"{match[1]}\n{text}\n\n{match[2]}", page)
     return page
 
 
@@ -96,10 +96,14 @@ def blocks(folder: Path) -> dict[str, str]:
         {name: read(folder / f"{name}.csv") for name in ("scales", "fusion", "cases")}, SHOWN
     )
     place = head.index("impostor pairs")
-    shown = [head, ["---"] * len(head), *(row for row in rows if row[head.index("thesis")] != "-")]
+    rows_shown = [
+        head,
+        ["---"] * len(head),
+        *(row for row in rows if row[head.index("thesis")] != "-"),
+    ]
     return {
         "thesis": "\n".join(
-            f"| {' | '.join((*cells[:place], *cells[place + 1 :]))} |" for cells in shown
+            f"| {' | '.join((*cells[:place], *cells[place + 1 :]))} |" for cells in rows_shown
         )
     }
 
@@ -115,7 +119,7 @@ def readable(folder: Path) -> dict[str, Lines]:
         name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")
     }
     differ = {name: read(folder / f"{name}_differences.csv") for name in tables}
-    made = {
+    tables = {
         "run": run_table(runs),
         "thesis": thesis_table(tables),
         "order": order_table(tables, differ),
@@ -130,31 +134,33 @@ def readable(folder: Path) -> dict[str, Lines]:
     }
     for name in ("normals", "relief"):
         rows = [row for row in differ["cases"] if row["attribute"] == name]
-        made[f"{name}_differences"] = difference_table(rows, UNDILUTED)
+        tables[f"{name}_differences"] = difference_table(rows, UNDILUTED)
     which, between = (read(folder / f"normals{ending}.csv") for ending in ("", "_differences"))
-    made["which_normals"] = rate_table(which, "case, normals", _which, (THESIS, PLAIN))
-    made["which_normals_differences"] = difference_table(between, (PLAIN,))
-    made["fusion_minutiae"] = rate_table(
+    tables["which_normals"] = rate_table(which, "case, normals", _which, (THESIS, PLAIN))
+    tables["which_normals_differences"] = difference_table(between, (PLAIN,))
+    tables["fusion_minutiae"] = rate_table(
         read(folder / "fusion_minutiae.csv"),
         "case, joined",
         lambda row: f"{row['case']}, {_attribute(row)}",
         (THESIS, PLAIN),
     )
-    made["fusion_minutiae_differences"] = difference_table(
+    tables["fusion_minutiae_differences"] = difference_table(
         read(folder / "fusion_minutiae_differences.csv"), (THESIS_WHOLE, WHOLE)
     )
     for name in ("ridge", "minutiae"):
         rows = [row for row in tables["matchers"] if row["matcher"] == name]
-        made[name] = rate_table(rows, "case", lambda row: row["case"], BY_PRINT)
-        made[f"{name}_margin"] = margin_table(rows)
+        tables[name] = rate_table(rows, "case", lambda row: row["case"], BY_PRINT)
+        tables[f"{name}_margin"] = margin_table(rows)
     for name in ("family", "people"):
-        made[name] = rate_table(
+        tables[name] = rate_table(
             read(folder / f"{name}.csv"),
             "case, matcher",
             lambda row: f"{row['case']}, {row['matcher']}",
             (PLAIN, WHOLE),
         )
-    made["family_differences"] = difference_table(read(folder / "family_differences.csv"), (WHOLE,))
+    tables["family_differences"] = difference_table(
+        read(folder / "family_differences.csv"), (WHOLE,)
+    )
     described, apart = (
         read(folder / f"descriptors{ending}.csv") for ending in ("", "_differences")
     )
@@ -162,15 +168,15 @@ def readable(folder: Path) -> dict[str, Lines]:
         rows, two = (
             [row for row in part if row["attribute"] == name] for part in (described, apart)
         )
-        made[f"descriptors_{name}"] = rate_table(
+        tables[f"descriptors_{name}"] = rate_table(
             rows, f"feature, {name}", lambda row: row["case"], UNDILUTED
         )
-        made[f"descriptors_{name}_differences"] = difference_table(two, UNDILUTED)
-    made["figures"] = figures_table(read(folder / "figures.csv"))
+        tables[f"descriptors_{name}_differences"] = difference_table(two, UNDILUTED)
+    tables["figures"] = figures_table(read(folder / "figures.csv"))
     sensitivity = read(folder / "sensitivity.csv")
     for factor in ("roll", "glare", "moisture", "partial"):
-        made[factor] = sensitivity_table([row for row in sensitivity if row["factor"] == factor])
-    return made
+        tables[factor] = sensitivity_table([row for row in sensitivity if row["factor"] == factor])
+    return tables
 
 
 def read(file: Path) -> list[Row]:

@@ -258,8 +258,8 @@ def page_of(out: Path, wanted: Sequence[Figure], size: Size) -> str:
     sections = [_section(figure, out, known, tables) for figure in wanted]
     counts = verdicts(known)
     counted = ", ".join(f"{count} {word}" for word, count in counts.items())
-    made = html.escape(f"{size.people} people, {size.captures} captures, simulated")
-    return PAGE.substitute(size=made, counted=counted, sections="\n".join(sections))
+    population = html.escape(f"{size.people} people, {size.captures} captures, simulated")
+    return PAGE.substitute(size=population, counted=counted, sections="\n".join(sections))
 
 
 def verdicts(known: Sequence[Mapping[str, str]]) -> dict[str, int]:

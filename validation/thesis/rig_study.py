@@ -113,13 +113,13 @@ class ThesisStudy:
     def broken(self, candidate: RigCandidate) -> dict[str, str]:
         """The constraints; under a rendering program's fixed exposure that of the sensor does not
         count."""
-        found = examine(
+        constraints = examine(
             candidate, self.build, self.photons, finger=_typical(FIRST_SEED), bands=self.bands
         )
         rendered = self.camera == "renderer"
         return {
             name: why
-            for name, why in found.items()
+            for name, why in constraints.items()
             if not (rendered and name.startswith("exposure"))
         }
 
@@ -141,7 +141,7 @@ class ThesisStudy:
             fingers = [_measure(candidate, self, seed) for seed in self.seeds]
         except BadInput as error:
             return {**record, "status": "failed", "reason": str(error)}
-        mean = {name: float(np.mean([one[name] for one in fingers])) for name in fingers[0]}
+        mean = {name: float(np.mean([finger[name] for finger in fingers])) for name in fingers[0]}
         return {**record, "status": "done", "reason": None, "fingers": fingers, "mean": mean}
 
 
@@ -324,8 +324,12 @@ def compare_surfaces(
 def _exposed(shot: ExposedCapture) -> dict[str, float]:
     return {
         f"{what}_{band}": float(value)
-        for band, one in shot.exposures.items()
-        for what, value in (("exposure_s", one.time_s), ("gain", one.gain), ("level", one.level))
+        for band, exposure in shot.exposures.items()
+        for what, value in (
+            ("exposure_s", exposure.time_s),
+            ("gain", exposure.gain),
+            ("level", exposure.level),
+        )
     }
 
 
@@ -435,9 +439,9 @@ def photograph_candidate(
         gain = np.float32(exposure.level / brightest)
         blur_px = tremor_blur_mm(exposure.time_s) * rig.camera.px_per_mm
         images = []
-        for frame, one in zip(frames, band_seed.spawn(len(frames)), strict=True):
+        for frame, frame_seed in zip(frames, band_seed.spawn(len(frames)), strict=True):
             light = _trembled(defocus(frame, sharpness), blur_px) * gain
-            images.append(record(light, name, one, sensor, scale))
+            images.append(record(light, name, frame_seed, sensor, scale))
         bands[name] = Band(
             name=name,
             pixels=np.stack(images),  # type: ignore[arg-type]

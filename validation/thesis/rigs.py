@@ -200,13 +200,13 @@ def sweep_rigs(
     """Records of all candidates in their order; each is kept in `out` when it is finished, and not
     measured again."""
     out.mkdir(parents=True, exist_ok=True)
-    files = {one: out / f"{one.name}.json" for one in candidates}
-    waiting = [one for one, file in files.items() if not file.is_file()]
+    files = {candidate: out / f"{candidate.name}.json" for candidate in candidates}
+    waiting = [candidate for candidate, file in files.items() if not file.is_file()]
     with ProcessPoolExecutor(workers) as pool:
-        for k, (one, record) in enumerate(
+        for k, (candidate, record) in enumerate(
             zip(waiting, pool.map(study.record, waiting), strict=True), start=1
         ):
-            files[one].write_text(json.dumps(record), encoding="ascii")
+            files[candidate].write_text(json.dumps(record), encoding="ascii")
             print(f"\r{out.name} {k}/{len(waiting)}", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     return [json.loads(file.read_text(encoding="ascii")) for file in files.values()]
@@ -216,18 +216,19 @@ def summarise(records: Sequence[Mapping[str, Any]], figure: str) -> dict[str, An
     """The ``best`` rig by a figure, which is minimised; how all are ``compared`` with it, by name;
     the ``pareto`` front of the figure, the LEDs' power and the size of the box.
     """
-    done = [one for one in records if one["status"] == "done"]
+    done = [record for record in records if record["status"] == "done"]
     if not done:
         sys.exit(
             f"not one of the {len(records)} rigs can be built and measured: {records[0]['reason']}"
         )
     compared = _compare_with_best(done, figure)
     rigs = [
-        RigCandidate(**{k: v for k, v in one["candidate"].items() if k != "name"}) for one in done
+        RigCandidate(**{k: v for k, v in record["candidate"].items() if k != "name"})
+        for record in done
     ]
     costs = [
-        [one["mean"][figure], rig.power_w, rig.volume_l]
-        for one, rig in zip(done, rigs, strict=True)
+        [record["mean"][figure], rig.power_w, rig.volume_l]
+        for record, rig in zip(done, rigs, strict=True)
     ]
     front = zip(rigs, _pareto_front(np.array(costs)), strict=True)
     best = next(name for name, row in compared.items() if row["best"])
@@ -264,7 +265,8 @@ def _compare_with_best(records: Sequence[dict[str, Any]], figure: str) -> dict[s
     interval holds zero.
     """
     values = {
-        one["candidate"]["name"]: np.array([f[figure] for f in one["fingers"]]) for one in records
+        record["candidate"]["name"]: np.array([f[figure] for f in record["fingers"]])
+        for record in records
     }
     best = min(values, key=lambda name: (float(values[name].mean()), name))
     compared: dict[str, dict[str, Any]] = {}
@@ -291,12 +293,16 @@ def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
         for objective in ("hausdorff", "whole", "rms")
     }
     rows = []
-    for one in records:
-        row = {name: value for name, value in one["candidate"].items() if name != "name"}
-        row |= {"name": one["candidate"]["name"], "status": one["status"], "reason": one["reason"]}
-        row["broken"] = [name for name, reason in one["constraints"].items() if reason]
-        if one["mean"] is not None:
-            row |= {key: round(value, 5) for key, value in one["mean"].items()}
+    for record in records:
+        row = {name: value for name, value in record["candidate"].items() if name != "name"}
+        row |= {
+            "name": record["candidate"]["name"],
+            "status": record["status"],
+            "reason": record["reason"],
+        }
+        row["broken"] = [name for name, reason in record["constraints"].items() if reason]
+        if record["mean"] is not None:
+            row |= {key: round(value, 5) for key, value in record["mean"].items()}
             row["compared"] = {
                 objective: [_short(its["compared"][row["name"]][key]) for key in COMPARED]
                 for objective, its in summaries.items()

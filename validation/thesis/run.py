@@ -73,12 +73,12 @@ def inputs_of(options: argparse.Namespace, part: str) -> str:
     """Hash of what a part's figures follow from: options, version, population and the files of the
     store."""
     names = ("cases", "people", "fraction")
-    given = {name: str(getattr(options, name)) for name in names}
+    chosen = {name: str(getattr(options, name)) for name in names}
     store = options.store if part not in WITHOUT_STORE else None
     files = [] if store is None else sorted(path for path in store.rglob("*.npz") if path.is_file())
     sizes = [[Path(os.path.relpath(path, store)).as_posix(), path.stat().st_size] for path in files]
     captures = len(list(options.population.glob("*/session_*/*/impression.json")))
-    return settings_hash([given, _origin(options), sizes, captures])
+    return settings_hash([chosen, _origin(options), sizes, captures])
 
 
 def read_truth(population: Path) -> dict[str, Row]:

@@ -41,13 +41,13 @@ def snk_images(capture: Capture) -> FingerImages:
         If it shows no finger.
     """
     memory = Memory(capture)  # all share what comes before the shapelets
-    found = surface_images(surface_of(reconstruct(capture, "snk", memory=memory)))
-    channels = {name: found.channels[name] for name in (*ATTRIBUTES["normals"], "relief")}
+    images = surface_images(surface_of(reconstruct(capture, "snk", memory=memory)))
+    channels = {name: images.channels[name] for name in (*ATTRIBUTES["normals"], "relief")}
     for count in SCALES:
         # as snk up to the relief, without its near-infrared shape
         result = reconstruct(capture, "pr-split", {"shapelets.scales": count}, memory=memory)
         channels[f"snk{count}"] = surface_images(surface_of(result)).channels["relief"]
-    return replace(found, channels=channels)
+    return replace(images, channels=channels)
 
 
 def keep_all(population: Path, names: Iterable[str], scratch: Path, jobs: int) -> tuple[Read, Path]:

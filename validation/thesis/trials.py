@@ -203,17 +203,19 @@ def _overlap_case(
     A store that is being filled may have more of another case. Masks are taken to be the same where
     all captures have the same area to the last bit.
     """
-    areas = {one: _areas(store, captures, one) for one in cases}
-    made = {
-        one: 0 if table is None else len(table["a"])
-        for one in cases
-        for table in [_read_scores(store, one)]
+    areas = {name: _areas(store, captures, name) for name in cases}
+    compared = {
+        name: 0 if table is None else len(table["a"])
+        for name in cases
+        for table in [_read_scores(store, name)]
     }
     same = [
-        one for one in cases if areas[one] is not None and np.array_equal(areas[one], areas[case])
+        name
+        for name in cases
+        if areas[name] is not None and np.array_equal(areas[name], areas[case])
     ]
-    best = max(same, key=lambda one: (made[one], one == case), default=None)
-    return best if best is not None and made[best] > 0 else None
+    best = max(same, key=lambda name: (compared[name], name == case), default=None)
+    return best if best is not None and compared[best] > 0 else None
 
 
 def _areas(store: StoreLike, captures: Captures, case: str) -> Values | None:
@@ -239,21 +241,21 @@ def scores_of(pairs: Pairs, similarity: Values, name: str) -> Scores:
 def _trials(
     case: str, matcher: str, columns: Mapping[str, Values], of_thesis: Mapping[str, Values] | None
 ) -> list[Trial]:
-    made = columns["compared"].astype(np.bool_)
+    compared = columns["compared"].astype(np.bool_)
     ratio = (
         None
         if of_thesis is None
         else np.where(of_thesis["compared"].astype(np.bool_), of_thesis["ratio"], np.nan)
     )
     if matcher != "thesis":
-        return [Trial(case, matcher, "", np.where(made, columns["similarity"], np.nan), ratio)]
+        return [Trial(case, matcher, "", np.where(compared, columns["similarity"], np.nan), ratio)]
     assert ratio is not None
     return [
         Trial(
             case,
             matcher,
             name,
-            np.where(made, 1.0 - columns[f"dissimilarity_{name}"], np.nan),
+            np.where(compared, 1.0 - columns[f"dissimilarity_{name}"], np.nan),
             ratio,
             1.0 - np.exp(2.0 - ratio),
         )
@@ -272,8 +274,8 @@ def _columns(
     a, b = (captures.places(table[side]) for side in ("a", "b"))
     key = a * len(captures.names) + b
     order = np.argsort(key, kind="stable")
-    found = {name: values[order] for name, values in table.items() if values.dtype.kind in "fiub"}
-    return {**found, "key": key[order]}
+    columns = {name: values[order] for name, values in table.items() if values.dtype.kind in "fiub"}
+    return {**columns, "key": key[order]}
 
 
 def _table(read: Any) -> Any:

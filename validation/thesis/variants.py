@@ -95,7 +95,7 @@ def known_of(pairs: Pairs, truth: Mapping[str, Mapping[str, Any]]) -> Known:
         if spread > FINGER_LIMIT_DEG
     ]
     out = np.isin(captures.finger, gone)
-    either = [found[pairs.a] | found[pairs.b] for found in (out, partial, printed)]
+    either = [failed[pairs.a] | failed[pairs.b] for failed in (out, partial, printed)]
     return Known(roll_difference, *either)
 
 
@@ -143,8 +143,8 @@ def judged(
         kept &= ~known.partial
     elif variant.kept in ("printed", "drawn"):
         kept &= known.printed == (variant.kept == "printed") if known.printed.any() else False
-    made = np.isfinite(similarity)
-    if not (kept & made & genuine).any() or not (kept & made & ~genuine).any():
+    compared = np.isfinite(similarity)
+    if not (kept & compared & genuine).any() or not (kept & compared & ~genuine).any():
         return None
     if variant.sessions == "averaged":
         if not averages_agree(pairs):
@@ -164,5 +164,7 @@ def averages_agree(pairs: Pairs) -> bool:
     finger = np.unique(pairs.captures.finger, return_inverse=True)[1]
     key = finger[pairs.a] * pairs.captures.names.size + finger[pairs.b]
     genuine = pairs.genuine
-    own, other = (np.sum(side) / max(1, np.unique(key[side]).size) for side in (genuine, ~genuine))
-    return bool(other >= SIMILAR_FRACTION * own)
+    genuine_share, impostor_share = (
+        np.sum(side) / max(1, np.unique(key[side]).size) for side in (genuine, ~genuine)
+    )
+    return bool(impostor_share >= SIMILAR_FRACTION * genuine_share)
