@@ -263,8 +263,9 @@ def _moved(led: Led) -> Led:
     return replace(led, position_mm=(x + 3.0, y, z))
 
 
-def _tilted(led: Led) -> Led:
-    turn = cv2.Rodrigues(np.array([np.deg2rad(10.0), 0.0, 0.0]))[0]
+def tilted(led: Led, deg: float = 10.0) -> Led:
+    """An LED that points elsewhere."""
+    turn = cv2.Rodrigues(np.array([np.deg2rad(deg), 0.0, 0.0]))[0]
     aim = turn @ led.axis
     return replace(led, aim=(float(aim[0]), float(aim[1]), float(aim[2])))
 
@@ -333,7 +334,7 @@ DEFECTS: dict[str, Callable[[Twin], Twin]] = {
     "two LEDs lit together": _each(_together),
     "an LED leaks 3 %": lambda twin: twin.lights(_leaking),
     "an LED 3 mm off": lambda twin: _other_led(twin, _moved),
-    "an LED tilted by 10 deg": lambda twin: _other_led(twin, _tilted),
+    "an LED tilted by 10 deg": lambda twin: _other_led(twin, tilted),
     "lid open": lambda twin: twin.lights(_open_lid),
     "focus 6 mm off": lambda twin: replace(twin, finger=finger_of(twin.seed, twin.rig, 7.5)),
     "camera turned by 3 deg": _camera_turned,

@@ -79,7 +79,7 @@ def capture(
         Rig file (default: the nominal rig).
     target
         Photograph a calibration target: no finger is looked for; the twin puts a card (default),
-        nail, board, sphere or ball there.
+        nail, board, sphere, ball or phantom there.
     led
         Only light this LED, such as 'white 3', and photograph nothing.
     seconds

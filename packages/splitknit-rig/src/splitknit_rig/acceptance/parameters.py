@@ -107,6 +107,39 @@ FOCUS_PX_PER_MM = 15.0
 Unit: px/mm. Chosen on: simulated fingers (validation/rig_check). Range: not known.
 """
 
+# --- phantom
+
+MIN_RIDGES = 0.9
+"""Smallest correlation of the phantom's ridges with the drawn ones, where a pixel is 0.07 mm or
+less; the sound twin has 0.97.
+
+Unit: none. Chosen on: simulated phantom (validation/rig_check). Range: not known.
+"""
+
+MAX_TURN_DEG = 10.0
+"""Turn of the phantom against the picture, each way, up to which it is recognised.
+
+Unit: deg. Chosen on: judgement. Range: not known.
+"""
+
+REACH_MM = 4.0
+"""Shift of the phantom from the middle of the picture, each way, up to which it is recognised.
+
+Unit: mm. Chosen on: judgement. Range: not known.
+"""
+
+EDGE_MM = 0.8
+"""What lies nearer to the phantom's outline does not count: it is the steepest.
+
+Unit: mm. Chosen on: judgement. Range: not known.
+"""
+
+MIN_LIKENESS = 0.5
+"""Smallest correlation of the phantom's relief with the drawing at which it counts as recognised.
+
+Unit: none. Chosen on: judgement. Range: not known.
+"""
+
 # --- photographs
 
 SERIES_FRACTIONS = (0.15, 0.3, 0.5, 0.7, 0.85, 1.0)
