@@ -50,6 +50,7 @@ def capture(
     rig: AnyPath | None = None,
     target: Target = None,
     led: str | None = None,
+    preview: bool = False,
     seconds: Annotated[float | None, Limits(0, 600, above=True)] = None,
     keep: bool = False,
     overwrite: bool = False,
@@ -82,8 +83,11 @@ def capture(
         nail, board, sphere, ball or phantom there.
     led
         Only light this LED, such as 'white 3', and photograph nothing.
+    preview
+        Show the camera in the browser, with sharpness and histogram, while the lens is turned;
+        under `led` (default: the first).
     seconds
-        For how long (default: 5).
+        For how long (default: 5; `preview` 600).
     keep
         Write a capture even if it must be taken again.
     overwrite
@@ -134,12 +138,17 @@ def capture(
     from splitknit_rig.capture.folder import CaptureOptions, capture_enrolment, capture_to_folder
     from splitknit_rig.capture.session import SessionSettings
 
+    if preview:
+        words = "does not go with `preview`, which writes nothing."
+        refuse_given(words, out=out, enrolment=enrolment)
+        looking = _opener(device, flatten(settings or {}), rig, scale, target=target)
+        return _previewed(looking, led, seconds)
     if led is not None:
         words = "does not go with `led`, which photographs nothing."
         refuse_given(words, out=out, enrolment=enrolment, target=target)
         lighting = _opener(device, flatten(settings or {}), rig, scale, target="card")
         return _lit(lighting, led, seconds or 5.0)
-    refuse_given("belongs to `led`.", seconds=seconds)
+    refuse_given("belongs to `led` or `preview`.", seconds=seconds)
     places = (
         "name where captures go: `out` DIR for one finger, or `enrolment` DIR for many, not both."
     )
@@ -244,13 +253,35 @@ def _opener(
 
 def _lit(opener: Opener, name: str, seconds: float) -> Report:
     """Light one LED for a time."""
+    with opener(0, 0) as devices:
+        devices.lights.shine(_led_of(name, devices), seconds)
+    return Report({"led": name, "seconds": seconds}, (f"{name} was lit for {seconds:g} s.",))
+
+
+def _previewed(opener: Opener, name: str | None, seconds: float | None) -> Report:
+    """Show the camera under one LED in the browser."""
+    from splitknit_rig.capture.parameters import PREVIEW_PORT, PREVIEW_S
     from splitknit_rig.capture.pins import led_names
+    from splitknit_rig.capture.preview import Preview, serve_preview
+
+    def ready(address: str) -> None:
+        sys.stderr.write(f"Open {address} on this computer; Ctrl-C ends it.\n")
+        sys.stderr.flush()
 
     with opener(0, 0) as devices:
-        names = led_names(devices.rig)
-        require(name in names, f"the rig has no LED '{name}'; it has {', '.join(names)}.")
-        devices.lights.shine(names.index(name), seconds)
-    return Report({"led": name, "seconds": seconds}, (f"{name} was lit for {seconds:g} s.",))
+        preview = Preview(devices, _led_of(name or led_names(devices.rig)[0], devices))
+        serve_preview(preview, seconds or PREVIEW_S, PREVIEW_PORT, ready)
+        devices.lights.off()
+    facts = {"looks": preview.looks, "best_sharpness": preview.best}
+    return Report(facts, (f"{preview.looks} pictures, best sharpness {preview.best:.2f} %.",))
+
+
+def _led_of(name: str, devices: Opened) -> int:
+    from splitknit_rig.capture.pins import led_names
+
+    names = led_names(devices.rig)
+    require(name in names, f"the rig has no LED '{name}'; it has {', '.join(names)}.")
+    return names.index(name)
 
 
 def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]:
