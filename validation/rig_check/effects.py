@@ -130,7 +130,13 @@ def defects(rig: Twin, times: int) -> Iterator[tuple[str, str, Twin]]:
     still = replace(rig, finger=shifted(rig.finger, rig.seed, mm, px))
     yield "motion of the finger", f"{mm:g} mm", still
     out = 3.0 * times
-    yield "focus", f"{out:g} mm", replace(rig, finger=finger_of(rig.seed, rig.rig, 1.5 + out))
+    blurred = finger_of(rig.seed, rig.rig, 1.5 + out)
+    yield "focus", f"{out:g} mm", replace(rig, finger=blurred)
+    leds = rig.finger.leds.copy()
+    nir = [led.band == "nir" for led in rig.rig.leds]
+    leds[nir] = blurred.leds[nir]
+    shift = replace(rig, finger=Lit(leds, rig.finger.dark))
+    yield "focus, NIR alone", f"{out:g} mm", shift
 
 
 def rows_of(seed: int) -> Iterator[dict[str, Any]]:

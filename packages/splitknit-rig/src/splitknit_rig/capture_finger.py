@@ -138,16 +138,16 @@ def capture(
     from splitknit_rig.capture.folder import CaptureOptions, capture_enrolment, capture_to_folder
     from splitknit_rig.capture.session import SessionSettings
 
-    if preview:
-        words = "does not go with `preview`, which writes nothing."
-        refuse_given(words, out=out, enrolment=enrolment)
-        looking = _opener(device, flatten(settings or {}), rig, scale, target=target)
-        return _previewed(looking, led, seconds)
-    if led is not None:
-        words = "does not go with `led`, which photographs nothing."
-        refuse_given(words, out=out, enrolment=enrolment, target=target)
-        lighting = _opener(device, flatten(settings or {}), rig, scale, target="card")
-        return _lit(lighting, led, seconds or 5.0)
+    if preview or led is not None:
+        scene = target if preview else "card"
+        refuse_given(
+            f"does not go with `{'preview' if preview else 'led'}`, which photographs nothing.",
+            out=out,
+            enrolment=enrolment,
+            target=None if preview else target,
+        )
+        opener = _opener(device, flatten(settings or {}), rig, scale, target=scene)
+        return _lit(opener, led, seconds, preview=preview)
     refuse_given("belongs to `led` or `preview`.", seconds=seconds)
     places = (
         "name where captures go: `out` DIR for one finger, or `enrolment` DIR for many, not both."
@@ -251,37 +251,33 @@ def _opener(
     return opener_of(device, changes, None if rig_file is None else read_rig(rig_file), scale, **of)
 
 
-def _lit(opener: Opener, name: str, seconds: float) -> Report:
-    """Light one LED for a time."""
+def _lit(opener: Opener, name: str | None, seconds: float | None, *, preview: bool) -> Report:
+    """Light one LED for a time, or show the camera under it in the browser."""
+    from splitknit_rig.capture.pins import led_names
+
     with opener(0, 0) as devices:
-        devices.lights.shine(_led_of(name, devices), seconds)
+        names = led_names(devices.rig)
+        name = name or names[0]
+        require(name in names, f"the rig has no LED '{name}'; it has {', '.join(names)}.")
+        if preview:
+            return _previewed(devices, names.index(name), seconds)
+        seconds = seconds or 5.0
+        devices.lights.shine(names.index(name), seconds)
     return Report({"led": name, "seconds": seconds}, (f"{name} was lit for {seconds:g} s.",))
 
 
-def _previewed(opener: Opener, name: str | None, seconds: float | None) -> Report:
-    """Show the camera under one LED in the browser."""
+def _previewed(devices: Opened, led: int, seconds: float | None) -> Report:
     from splitknit_rig.capture.parameters import PREVIEW_PORT, PREVIEW_S
-    from splitknit_rig.capture.pins import led_names
     from splitknit_rig.capture.preview import Preview, serve_preview
 
     def ready(address: str) -> None:
         sys.stderr.write(f"Open {address} on this computer; Ctrl-C ends it.\n")
         sys.stderr.flush()
 
-    with opener(0, 0) as devices:
-        preview = Preview(devices, _led_of(name or led_names(devices.rig)[0], devices))
-        serve_preview(preview, seconds or PREVIEW_S, PREVIEW_PORT, ready)
-        devices.lights.off()
+    preview = Preview(devices, led)
+    serve_preview(preview, seconds or PREVIEW_S, PREVIEW_PORT, ready)
     facts = {"looks": preview.looks, "best_sharpness": preview.best}
     return Report(facts, (f"{preview.looks} pictures, best sharpness {preview.best:.2f} %.",))
-
-
-def _led_of(name: str, devices: Opened) -> int:
-    from splitknit_rig.capture.pins import led_names
-
-    names = led_names(devices.rig)
-    require(name in names, f"the rig has no LED '{name}'; it has {', '.join(names)}.")
-    return names.index(name)
 
 
 def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]:

@@ -82,7 +82,7 @@ def _jpeg(pixels: PixelArray) -> str:
     scale = min(1.0, PREVIEW_PX / pixels.shape[1])
     seen = np.asarray(pixels / (np.iinfo(pixels.dtype).max / 255.0), dtype=np.uint8)[..., ::-1]
     small = cv2.resize(seen, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return base64.b64encode(cv2.imencode(".jpg", small)[1]).decode("ascii")
+    return base64.b64encode(cv2.imencode(".jpg", small)[1].tobytes()).decode("ascii")
 
 
 def serve_preview(
@@ -97,7 +97,7 @@ def serve_preview(
     class Handler(BaseHTTPRequestHandler):
         timeout = PATIENCE_S
 
-        def do_GET(self) -> None:  # noqa: N802
+        def do_GET(self) -> None:
             """Answer."""
             # another site's page that resolves its own name to this computer
             if self.headers.get("Host") not in hosts:
