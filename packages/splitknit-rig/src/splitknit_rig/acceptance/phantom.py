@@ -123,6 +123,9 @@ def phantom() -> tuple[Reconstruction, list[dict[str, Any]]]:
     return result, fields
 
 
+_UNSEEN = "the phantom's ridges are not seen; lay it tip up on dark ground, in focus."
+
+
 def ridge_heights(result: Reconstruction) -> tuple[float, float]:
     """Height of the phantom's ridges over the drawn one (least squares), and the correlation of
     both, the measured phantom laid on the drawing.
@@ -134,10 +137,11 @@ def ridge_heights(result: Reconstruction) -> tuple[float, float]:
     template = _relief(drawn.height_mm, drawn.mask)
     size = np.array(template.shape[::-1]) + 2 * round(REACH_MM / PITCH_MM)
     middle = (np.array(seen.shape[::-1]) - 1.0) / 2
+    centring = (size - 1.0) / 2 - middle
     best = -1.0
     for turn in np.arange(-MAX_TURN_DEG, MAX_TURN_DEG + 0.5, 1.0):
-        ahead = cv2.getRotationMatrix2D(middle.tolist(), turn, 1.0)
-        ahead[:, 2] += (size - 1.0) / 2 - middle
+        ahead = np.asarray(cv2.getRotationMatrix2D(middle.tolist(), turn, 1.0), dtype=np.float64)
+        ahead[:, 2] += centring
         turned = cv2.warpAffine(seen, ahead, size.tolist())
         alike = cv2.matchTemplate(turned, template, cv2.TM_CCORR_NORMED)
         _, value, _, corner = cv2.minMaxLoc(alike)
@@ -156,6 +160,7 @@ def ridge_heights(result: Reconstruction) -> tuple[float, float]:
     measured = cv2.warpAffine(seen, place, template.shape[::-1], flags=flags)
     both = (measured != 0.0) & (template != 0.0)
     both[: round((PLATE_MM[1] / 2 - FIELDS_END_MM) / PITCH_MM)] = False  # the marks
+    require(both.any(), _UNSEEN)
     likeness = float(np.corrcoef(measured[both], template[both])[0, 1])
     require(likeness > MIN_LIKENESS, _UNSEEN)
     return float(measured[both] @ template[both] / (template[both] @ template[both])), likeness
@@ -193,7 +198,5 @@ def _on_grid(result: Reconstruction) -> FloatArray:
             )
     height = np.where(known, result.height_mm, 0.0).astype(np.float32)
     mask = cv2.remap(known.astype(np.float32), column, row, cv2.INTER_LINEAR) > 0.999
-    return _relief(cv2.remap(height, column, row, cv2.INTER_CUBIC), mask)
-
-
-_UNSEEN = "the phantom's ridges are not seen; lay it tip up on dark ground, in focus."
+    height = np.asarray(cv2.remap(height, column, row, cv2.INTER_CUBIC), dtype=np.float32)
+    return _relief(height, mask)

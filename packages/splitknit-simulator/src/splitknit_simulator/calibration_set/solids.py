@@ -443,7 +443,7 @@ class ReliefScene(_SolidScene):
         inside = np.isfinite(self.height_mm)
         top = float(np.nanmax(self.height_mm))
         below = np.where(inside, self.height_mm, np.nanmin(self.height_mm)) - top
-        rise, across = np.gradient(below, self.pitch_mm)
+        rise, across = map(np.asarray, np.gradient(below, self.pitch_mm))
         way = np.stack([self._sight.slope_x, self._sight.slope_y, -np.ones_like(self._sight.x)], -1)
         way = way @ self.plane.axes
         way /= way[..., 2:]
