@@ -55,6 +55,15 @@ def dimmed(lit: Lit, percent: float) -> Lit:
     return Lit(leds, lit.dark)
 
 
+def tilting(rig: Twin, deg: float) -> Lit:
+    """LEDs as unequal as a card seems tilted by: brighter on one side."""
+    lit = rig.finger
+    places = np.array([led.position_mm for led in rig.rig.leds])
+    factors = 1.0 + np.deg2rad(deg) * places[:, 0] / places[:, 2]
+    leds = lit.dark + factors[:, None, None, None].astype(np.float32) * (lit.leds - lit.dark)
+    return Lit(leds, lit.dark)
+
+
 def leaking(lit: Lit, percent: float) -> Lit:
     """One LED that glows while it is off."""
     glow = np.float32(percent / 100.0) * (lit.leds[LED] - lit.dark)
@@ -120,6 +129,8 @@ def defects(rig: Twin, times: int) -> Iterator[tuple[str, str, Twin]]:
     deg = 1.74 * times  # 10 deg change the light by 5.8 % (tables/answers.csv)
     aside = with_led(rig, lambda led: tilted(led, deg))
     yield "light across the card", f"{times} %, one LED tilted", aside
+    flat = replace(rig, finger=tilting(rig, times))
+    yield "flatness of the card", f"{times} deg", flat
     yield "light leaks", f"{times} %", replace(rig, finger=leaking(rig.finger, times))
     yield "radius of the ball", f"{2 * times} %", other_lens(rig, 2.0 * times)
     place = 2.19 * times  # 3 mm turn it by 1.37 deg (tables/answers.csv)
