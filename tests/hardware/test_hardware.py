@@ -23,6 +23,7 @@ from hardware.stages import GPIO_HIGH_V, GPIO_LIMIT_A, Stage, design_stage
 from splitknit.errors import BadInput
 from splitknit.io.rig import read_rig
 from splitknit.model import default_rig
+from splitknit_rig.acceptance.phantom import HEIGHTS_UM
 from splitknit_rig.capture.pins import SECOND_PINS, pins_of, rig_films
 from splitknit_simulator.rigs import MirrorSettings, holder_profile, mirror_rig
 
@@ -313,7 +314,7 @@ def test_the_phantom_is_closed_and_as_high_as_stated() -> None:
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     forth, back = (np.sort(edges[:, k] * len(vertices) + edges[:, 1 - k]) for k in (0, 1))
     np.testing.assert_array_equal(forth, back)  # every edge once in each direction
-    assert {field["height_um"] for field in fields} == set(phantom.HEIGHTS_UM)
+    assert {field["height_um"] for field in fields} == set(HEIGHTS_UM)
     high = float(np.nanmax(result.ridge_mm))
     assert 0.1 < high < 0.3
 

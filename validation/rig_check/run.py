@@ -3,7 +3,7 @@
     python validation/rig_check/run.py                      # 20 sound rigs, 3 with each defect
     python validation/rig_check/run.py --sound 100:110 --faulty 100:102 --out /tmp/chosen.csv
 
-Twins as people build them (:mod:`twins`), card, ball and finger rendered, photographed and judged
+Twins as people build them (:mod:`twins`), card, ball, phantom and finger rendered, photographed and judged
 as `splitknit rig check` does. Limits were chosen on seeds from 100 on; what is reported begins at
 1000. A row of the table is a question of one rig.
 """
@@ -29,6 +29,7 @@ from splitknit_rig.acceptance.questions import (  # noqa: E402
     answers_of_ball,
     answers_of_card,
     answers_of_finger,
+    answers_of_phantom,
     answers_of_sensor,
 )
 from splitknit_rig.calibration.card_model import CardPlane  # noqa: E402
@@ -41,10 +42,10 @@ TABLES = HERE / "tables"
 def judged(rig: Twin, fingers: dict[Any, tuple[Any, list[Answer]]]) -> list[Answer]:
     """All answers of a twin; those of a finger that an earlier one had too are kept in
     `fingers`."""
-    card, ball, series = rig.bench()
+    card, ball, phantom, series = rig.bench()
     plane = CardPlane(0.0, base_tilt_deg(rig.file))
     answers = answers_of_sensor(card, *series) + answers_of_card(card, rig.file, plane)
-    answers += answers_of_ball(ball, rig.file, 16.0)
+    answers += answers_of_ball(ball, rig.file, 16.0) + answers_of_phantom(phantom)
     parts = (rig.finger, rig.file, rig.films)
     same = (*map(id, parts), rig.store, rig.exposure, rig.moving_mm)
     if same not in fingers:

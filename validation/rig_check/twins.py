@@ -1,4 +1,4 @@
-"""Twins of a built rig in front of card, ball and finger, and what can be wrong with them.
+"""Twins of a built rig in front of card, ball, phantom and finger, and what can be wrong with them.
 
 A defect changes the light of each LED, the camera's picture or the rig file; where it is in the
 light itself (a moved LED, the focus) the scene is rendered again.
@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from splitknit import Band, Capture, Led, Rig
 from splitknit.model import FloatArray, PixelArray
 from splitknit_rig.acceptance.parameters import SERIES_FRACTIONS
+from splitknit_rig.acceptance.phantom import phantom
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.radiometry import fit_radiometry
 from splitknit_rig.calibration.radiometry_folder import patches
 from splitknit_simulator import simulate_capture
 from splitknit_simulator.calibration_set.bench import BenchSettings
 from splitknit_simulator.calibration_set.flat import CardScene
-from splitknit_simulator.calibration_set.solids import SphereScene
+from splitknit_simulator.calibration_set.solids import ReliefScene, SphereScene
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.rigs import built_rig
 from splitknit_simulator.twin import FingerScene, twin_settings
@@ -74,6 +75,7 @@ class Twin:
     file: Rig
     card: Lit
     ball: Lit
+    phantom: Lit
     finger: Lit
     store: Store = lambda pixels: pixels  # what the camera does with its picture
     exposure: float = 1.0  # of what is right
@@ -82,11 +84,12 @@ class Twin:
 
     def lights(self, change: Callable[[Lit], Lit]) -> Twin:
         """With the light of all scenes changed."""
-        card, ball, finger = map(change, (self.card, self.ball, self.finger))
-        return replace(self, card=card, ball=ball, finger=finger)
+        parts = ("card", "ball", "phantom", "finger")
+        return replace(self, **{part: change(getattr(self, part)) for part in parts})
 
-    def bench(self) -> tuple[Capture, Capture, tuple[Array, Array]]:
-        """Card and ball under every LED, and an exposure series of the card: values, exposures."""
+    def bench(self) -> tuple[Capture, Capture, Capture, tuple[Array, Array]]:
+        """Card, ball and phantom under every LED, and an exposure series of the card: values,
+        exposures."""
         seeds = np.random.SeedSequence([self.seed, 0xAC])
         card = self._capture(self.card, seeds, "opaque")
         ball = self._capture(self.ball, seeds, "opaque")
@@ -96,7 +99,8 @@ class Twin:
             self._photo(light * np.float32(top * s), "white", seeds) for s in SERIES_FRACTIONS
         ]
         values = np.stack([patches(frame)[0] for frame in frames])
-        return card, ball, (values, np.array(SERIES_FRACTIONS))
+        phantom = self._capture(self.phantom, seeds, "opaque")
+        return card, ball, phantom, (values, np.array(SERIES_FRACTIONS))
 
     def fingers(self) -> tuple[Capture, Capture]:
         """The finger twice."""
@@ -139,10 +143,8 @@ def twin(seed: int) -> Twin:
     rig = built_rig(seed, scale=SCALE)
     tilt = tuple(rig.provenance["base_tilt_deg"])
     flat = card_of(rig, tilt)
-    empty = Twin(seed, rig, tilt, rig, flat, flat, flat)
-    return replace(
-        empty, file=_calibrated(empty), ball=ball_of(rig, tilt), finger=finger_of(seed, rig)
-    )
+    empty = Twin(seed, rig, tilt, rig, flat, flat, flat, flat)
+    return replace(empty, file=_calibrated(empty), finger=finger_of(seed, rig), **solids(rig, tilt))
 
 
 def _lit(scene: Any, leds: Sequence[int]) -> Lit:
@@ -159,6 +161,26 @@ def ball_of(rig: Rig, tilt: Any) -> Lit:
         camera=rig.camera, leds=rig.leds, tilt_deg=tilt, bench=_bench(), chrome=False
     )
     return _lit(scene, range(len(rig.leds)))
+
+
+def phantom_of(rig: Rig, tilt: Any, focus_mm: float = 0.0) -> Lit:
+    """The printed phantom, laid by hand, in focus at a height over its top."""
+    drawn = phantom()[0]
+    scene = ReliefScene(
+        camera=rig.camera,
+        leds=rig.leds,
+        tilt_deg=tilt,
+        bench=replace(_bench(), focus_mm=focus_mm),
+        height_mm=drawn.height_mm,
+        pitch_mm=drawn.pitch_mm,
+        position_mm=(1.0, -1.5),
+    )
+    return _lit(scene, range(len(rig.leds)))
+
+
+def solids(rig: Rig, tilt: Any) -> dict[str, Lit]:
+    """Ball and phantom under a rig."""
+    return {"ball": ball_of(rig, tilt), "phantom": phantom_of(rig, tilt)}
 
 
 def finger_of(seed: int, rig: Rig, focus_mm: float = 1.5) -> Lit:
@@ -253,9 +275,8 @@ def _other_led(twin: Twin, change: Callable[[Led], Led]) -> Twin:
     """With LED 3 changed; the finger is not rendered again, so that card and ball must show it."""
     leds = tuple(change(led) if k == 3 else led for k, led in enumerate(twin.rig.leds))
     rig = replace(twin.rig, leds=leds)
-    return replace(
-        twin, rig=rig, card=card_of(rig, twin.tilt_deg), ball=ball_of(rig, twin.tilt_deg)
-    )
+    tilt = twin.tilt_deg
+    return replace(twin, rig=rig, card=card_of(rig, tilt), **solids(rig, tilt))
 
 
 def _moved(led: Led) -> Led:
@@ -263,8 +284,9 @@ def _moved(led: Led) -> Led:
     return replace(led, position_mm=(x + 3.0, y, z))
 
 
-def _tilted(led: Led) -> Led:
-    turn = cv2.Rodrigues(np.array([np.deg2rad(10.0), 0.0, 0.0]))[0]
+def tilted(led: Led, deg: float = 10.0) -> Led:
+    """An LED that points elsewhere."""
+    turn = cv2.Rodrigues(np.array([np.deg2rad(deg), 0.0, 0.0]))[0]
     aim = turn @ led.axis
     return replace(led, aim=(float(aim[0]), float(aim[1]), float(aim[2])))
 
@@ -290,7 +312,7 @@ def _camera_tilted(twin: Twin) -> Twin:
 
     rig = replace(twin.rig, leds=tuple(map(turned, twin.rig.leds)))
     tilt = (twin.tilt_deg[0] + 2.0, twin.tilt_deg[1])
-    return replace(twin, rig=rig, tilt_deg=tilt, card=card_of(rig, tilt), ball=ball_of(rig, tilt))
+    return replace(twin, rig=rig, tilt_deg=tilt, card=card_of(rig, tilt), **solids(rig, tilt))
 
 
 def _other_lens(twin: Twin) -> Twin:
@@ -300,6 +322,15 @@ def _other_lens(twin: Twin) -> Twin:
     matrix = camera.matrix * np.array([[1.05, 1, 1], [1, 1.05, 1], [1, 1, 1]])
     camera = replace(camera, matrix=matrix, px_per_mm=1.05 * camera.px_per_mm)
     return replace(twin, file=replace(twin.file, camera=camera))
+
+
+def _out_of_focus(twin: Twin) -> Twin:
+    """Focused 6 mm too deep."""
+    return replace(
+        twin,
+        finger=finger_of(twin.seed, twin.rig, 7.5),
+        phantom=phantom_of(twin.rig, twin.tilt_deg, -6.0),
+    )
 
 
 def _raised(pixels: PixelArray) -> PixelArray:
@@ -333,9 +364,9 @@ DEFECTS: dict[str, Callable[[Twin], Twin]] = {
     "two LEDs lit together": _each(_together),
     "an LED leaks 3 %": lambda twin: twin.lights(_leaking),
     "an LED 3 mm off": lambda twin: _other_led(twin, _moved),
-    "an LED tilted by 10 deg": lambda twin: _other_led(twin, _tilted),
+    "an LED tilted by 10 deg": lambda twin: _other_led(twin, tilted),
     "lid open": lambda twin: twin.lights(_open_lid),
-    "focus 6 mm off": lambda twin: replace(twin, finger=finger_of(twin.seed, twin.rig, 7.5)),
+    "focus 6 mm off": _out_of_focus,
     "camera turned by 3 deg": _camera_turned,
     "camera tilted by 2 deg": _camera_tilted,
     "another lens's file": _other_lens,

@@ -50,6 +50,7 @@ def capture(
     rig: AnyPath | None = None,
     target: Target = None,
     led: str | None = None,
+    preview: bool = False,
     seconds: Annotated[float | None, Limits(0, 600, above=True)] = None,
     keep: bool = False,
     overwrite: bool = False,
@@ -79,11 +80,14 @@ def capture(
         Rig file (default: the nominal rig).
     target
         Photograph a calibration target: no finger is looked for; the twin puts a card (default),
-        nail, board, sphere or ball there.
+        nail, board, sphere, ball or phantom there.
     led
         Only light this LED, such as 'white 3', and photograph nothing.
+    preview
+        Show the camera in the browser, with sharpness and histogram, while the lens is turned;
+        under `led` (default: the first).
     seconds
-        For how long (default: 5).
+        For how long (default: 5; `preview` 600).
     keep
         Write a capture even if it must be taken again.
     overwrite
@@ -134,12 +138,17 @@ def capture(
     from splitknit_rig.capture.folder import CaptureOptions, capture_enrolment, capture_to_folder
     from splitknit_rig.capture.session import SessionSettings
 
-    if led is not None:
-        words = "does not go with `led`, which photographs nothing."
-        refuse_given(words, out=out, enrolment=enrolment, target=target)
-        lighting = _opener(device, flatten(settings or {}), rig, scale, target="card")
-        return _lit(lighting, led, seconds or 5.0)
-    refuse_given("belongs to `led`.", seconds=seconds)
+    if preview or led is not None:
+        scene = target if preview else "card"
+        refuse_given(
+            f"does not go with `{'preview' if preview else 'led'}`, which photographs nothing.",
+            out=out,
+            enrolment=enrolment,
+            target=None if preview else target,
+        )
+        opener = _opener(device, flatten(settings or {}), rig, scale, target=scene)
+        return _lit(opener, led, seconds, preview=preview)
+    refuse_given("belongs to `led` or `preview`.", seconds=seconds)
     places = (
         "name where captures go: `out` DIR for one finger, or `enrolment` DIR for many, not both."
     )
@@ -242,15 +251,33 @@ def _opener(
     return opener_of(device, changes, None if rig_file is None else read_rig(rig_file), scale, **of)
 
 
-def _lit(opener: Opener, name: str, seconds: float) -> Report:
-    """Light one LED for a time."""
+def _lit(opener: Opener, name: str | None, seconds: float | None, *, preview: bool) -> Report:
+    """Light one LED for a time, or show the camera under it in the browser."""
     from splitknit_rig.capture.pins import led_names
 
     with opener(0, 0) as devices:
         names = led_names(devices.rig)
+        name = name or names[0]
         require(name in names, f"the rig has no LED '{name}'; it has {', '.join(names)}.")
+        if preview:
+            return _previewed(devices, names.index(name), seconds)
+        seconds = seconds or 5.0
         devices.lights.shine(names.index(name), seconds)
     return Report({"led": name, "seconds": seconds}, (f"{name} was lit for {seconds:g} s.",))
+
+
+def _previewed(devices: Opened, led: int, seconds: float | None) -> Report:
+    from splitknit_rig.capture.parameters import PREVIEW_PORT, PREVIEW_S
+    from splitknit_rig.capture.preview import Preview, serve_preview
+
+    def ready(address: str) -> None:
+        sys.stderr.write(f"Open {address} on this computer; Ctrl-C ends it.\n")
+        sys.stderr.flush()
+
+    preview = Preview(devices, led)
+    serve_preview(preview, seconds or PREVIEW_S, PREVIEW_PORT, ready)
+    facts = {"looks": preview.looks, "best_sharpness": preview.best}
+    return Report(facts, (f"{preview.looks} pictures, best sharpness {preview.best:.2f} %.",))
 
 
 def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]:

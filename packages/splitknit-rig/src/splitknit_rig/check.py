@@ -86,13 +86,14 @@ def check_rig(
     out: AnyPath,
     device: Literal["pi", "twin"] | None = None,
     card: Annotated[AnyPath | None, _FOLDERS] = None,
+    phantom: Annotated[AnyPath | None, _FOLDERS] = None,
     ball: Annotated[AnyPath | None, _FOLDERS] = None,
     finger: Annotated[Sequence[AnyPath], _FOLDERS] = (),
     ball_mm: Positive = 16.0,
     progress: Progress = silent,
 ) -> RigCheck:
-    """Test a rig that was built and calibrated: a matt card, a ball and a finger pass or fail, with
-    number and limit for each question.
+    """Test a rig that was built and calibrated: a matt card, a printed phantom, a ball and a finger
+    pass or fail, with number and limit for each question.
 
     Parameters
     ----------
@@ -105,6 +106,9 @@ def check_rig(
         Photograph now: pi, the Raspberry Pi's rig; twin, the simulated one.
     card
         A white matt card under every LED, with radiometry.json.
+    phantom
+        The printed phantom that ``python -m hardware.phantom`` draws, tip up on dark ground, its
+        top at the finger plane.
     ball
         A matt grey ball on the finger plane, on dark ground.
     finger
@@ -139,26 +143,26 @@ def check_rig(
     )
     from splitknit_rig.capture.openers import opener_of
 
-    photographs = {"card": card, "ball": ball, "finger": finger}
+    photographs = {"card": card, "phantom": phantom, "ball": ball, "finger": finger}
     if device is not None:
         refuse_given("does not go with `device`, which photographs it.", **photographs)
     else:
-        whole = card is not None and ball is not None and len(finger) == 2
+        alone = (card, phantom, ball)
         require(
-            whole,
-            "name the photographs, `card`, `ball` and twice `finger`, or a `device` that takes"
-            " them.",
+            None not in alone and len(finger) == 2,
+            "name the photographs, `card`, `phantom`, `ball` and twice `finger`, or a `device` that"
+            " takes them.",
         )
     check_target(Path(out), "check.json", "an earlier acceptance test")
     base = read_rig(rig)
     with atomic_folder(Path(out)) as folder:
         if device is None:
-            assert card is not None and ball is not None
-            places = dict(zip(PARTS, map(Path, (card, ball, *finger)), strict=True))
+            named = [Path(place) for place in (*alone, *finger) if place is not None]
+            places = dict(zip(PARTS, named, strict=True))
         else:
             openers = {
                 part: opener_of(device, {}, base, None, target=None if part == "finger" else part)
-                for part in ("card", "ball", "finger")
+                for part in (*PARTS[:3], "finger")
             }
             asks = device == "pi" and sys.stdin.isatty()
             places = take_photographs(
@@ -197,6 +201,7 @@ def _words(facts: Mapping[str, Any]) -> dict[str, str]:
 
 _LAY = {
     "card": "the matt card on the finger plane",
+    "phantom": "the printed phantom on dark ground, tip up, its top at the finger plane",
     "ball": "the grey ball on the finger plane, on dark ground",
     "finger": "a bare finger, and leave it there until the end",
 }

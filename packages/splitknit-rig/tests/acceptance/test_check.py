@@ -17,6 +17,7 @@ from splitknit.errors import BadInput
 from splitknit_rig.acceptance.questions import (
     DARK,
     LINEAR,
+    RIDGES,
     Answer,
     answers_of_sensor,
 )
@@ -83,13 +84,15 @@ def rig_file(tmp_path_factory) -> Path:
 
 def test_refused(rig_file, tmp_path):
     out = tmp_path / "out"
-    for folders_named in ({}, {"card": "a", "ball": "b", "finger": ("c",)}):
-        with pytest.raises(BadInput, match=r"name the photographs, `card`, `ball` and twice"):
+    no_phantom = {"card": "a", "ball": "b", "finger": ("c", "d")}
+    for folders_named in ({}, {**no_phantom, "phantom": "p", "finger": ("c",)}, no_phantom):
+        with pytest.raises(BadInput, match="name the photographs, `card`, `phantom`, `ball` and"):
             check_rig(rig_file, out=out, **folders_named)
     with pytest.raises(BadInput, match="`card` does not go with `device`"):
         check_rig(rig_file, out=out, device="twin", card="a")
     with pytest.raises(BadInput, match=r"a.*capture"):
-        check_rig(rig_file, out=out, card=tmp_path / "a", ball="b", finger=("c", "d"))
+        given = {**no_phantom, "card": tmp_path / "a", "phantom": "p"}
+        check_rig(rig_file, out=out, **folders_named)
     with pytest.raises(BadInput, match="`ball_mm` must be positive"):
         check_rig(rig_file, out=out, device="twin", ball_mm=0.0)
     assert not out.exists()
@@ -104,6 +107,7 @@ def tested(rig_file, tmp_path_factory) -> tuple[RigCheck, Path]:
 def folders(out: Path) -> dict:
     return {
         "card": out / "card",
+        "phantom": out / "phantom",
         "ball": out / "ball",
         "finger": (out / "finger_1", out / "finger_2"),
     }
@@ -112,9 +116,11 @@ def folders(out: Path) -> dict:
 @pytest.mark.slow
 def test_the_twin_passes(tested):
     result, out = tested
-    # at 8 px/mm focus is not judged by these limits
-    failed = [answer for answer in result.answers if not answer.passed]
-    assert all(answer.question.startswith("focus") for answer in failed), str(result)
+    # at 8 px/mm focus and ridges are not judged by these limits
+    failed = [answer.question for answer in result.answers if not answer.passed]
+    assert all(name.startswith(("focus", "ridges")) for name in failed), str(result)
+    ridges = by_question(result.answers)[RIDGES.words]
+    assert ridges.measured > 0.82 and "% of the height drawn" in ridges.note
     written = json.loads((out / "check.json").read_text())
     assert written["rows"] == result.facts["rows"]
     assert "card/white_0.png" in written["inputs"]
@@ -143,3 +149,7 @@ def test_a_dead_led_and_a_wrong_lens_fail(tested, rig_file, tmp_path):
     assert str(dead).count("white_3.png is black") == 1
     lens = by_question(check_rig(other_rig, out=tmp_path / "lens", **folders(out)).answers)
     assert not lens["radius of the ball"].passed
+    wrong_phantom = {**folders(out), "phantom": out / "ball"}
+    unlike = by_question(check_rig(rig_file, out=tmp_path / "unlike", **wrong_phantom).answers)
+    assert not unlike[RIDGES.words].passed
+    assert "the phantom's ridges are not seen" in unlike[RIDGES.words].note

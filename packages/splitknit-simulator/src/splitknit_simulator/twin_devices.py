@@ -15,15 +15,16 @@ from splitknit import Rig
 from splitknit.devices import Opened
 from splitknit.errors import require
 from splitknit.findings import Finding
-from splitknit.model import default_rig
+from splitknit.model import FloatArray, default_rig
 from splitknit_simulator.bench_photos import BOARD
+from splitknit_simulator.calibration_set.bench import BenchSettings
 from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, board_poses
-from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
+from splitknit_simulator.calibration_set.solids import NailScene, ReliefScene, SphereScene
 from splitknit_simulator.camera.device import Clock, LitScene, TwinCamera, TwinLightBank
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import FingerScene, twin_settings
 
-TARGETS = ("card", "nail", "board", "sphere", "ball")
+TARGETS = ("card", "nail", "board", "sphere", "ball", "phantom")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +62,10 @@ class Twin:
         *,
         pattern: str | None = None,
         target: str | None = None,
+        relief: tuple[FloatArray, float] | None = None,
     ) -> Iterator[Opened]:
-        """Open the devices around a simulated finger, or around a calibration target."""
+        """Open the devices around a simulated finger, or around a target; `relief`: heights of the
+        target ``phantom`` and their pitch, mm."""
         truth: Mapping[str, Any] | None = None
         findings: tuple[Finding, ...] = ()
         twin, clock = self.settings, Clock()
@@ -72,7 +75,9 @@ class Twin:
             truth, rig = scene.truth(), scene.rig
         else:
             rig = twin.rig or default_rig(twin.scale, twin.rig_seed)
-            scene, words = _target_scene(target, rig, seed)
+            bench = BenchSettings(aperture_mm=twin.render.aperture_mm)
+            under = {"camera": rig.camera, "leds": rig.leds, "bench": bench}
+            scene, words = _target_scene(target, under, seed, relief)
             findings = (Finding("simulated-target", f"{words}."),)
         noise = int(
             np.random.SeedSequence([seed, impression, 0xCA]).generate_state(1, np.uint32)[0]
@@ -91,9 +96,10 @@ class Twin:
             )
 
 
-def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
+def _target_scene(
+    name: str, under: Mapping[str, Any], seed: int, relief: tuple[FloatArray, float] | None
+) -> tuple[LitScene, str]:
     """Return a target under the rig, and what it is; the seed draws its place where it has one."""
-    camera, leds = rig.camera, rig.leds
     if name == "nail":
         x, y = (
             np.random.default_rng(np.random.SeedSequence([seed, 0x7A]))
@@ -102,16 +108,20 @@ def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
             .tolist()
         )
         return (
-            NailScene(camera=camera, leds=leds, position_mm=(x, y)),
+            NailScene(**under, position_mm=(x, y)),
             f"a nail of 13 mm stood at x {x}, y {y} mm",
         )
     if name == "board":
-        scene = BoardScene(
-            camera=camera, leds=leds, board=BOARD, **board_poses(seed, 1, camera, BOARD)[0]
-        )
+        pose = board_poses(seed, 1, under["camera"], BOARD)[0]
+        scene = BoardScene(**under, board=BOARD, **pose)
         size = f"{BOARD.columns}x{BOARD.rows}"
         return scene, f"a checkerboard of {size} inner corners (board {size}) was held"
-    grey = partial(SphereScene, chrome=False)
-    makers: dict[str, Any] = {"card": CardScene, "sphere": SphereScene, "ball": grey}
+    makers: dict[str, Any] = {
+        "card": CardScene,
+        "sphere": SphereScene,
+        "ball": partial(SphereScene, chrome=False),
+    }
+    if relief is not None:
+        makers["phantom"] = partial(ReliefScene, height_mm=relief[0], pitch_mm=relief[1])
     require(name in makers, f"the twin has no target '{name}'; it has {', '.join(TARGETS)}.")
-    return makers[name](camera=camera, leds=leds), f"{name}, without a finger"
+    return makers[name](**under), f"{name}, without a finger"

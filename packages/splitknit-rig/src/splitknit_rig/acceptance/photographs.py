@@ -21,6 +21,7 @@ from splitknit_rig.acceptance.questions import (
     answers_of_ball,
     answers_of_card,
     answers_of_finger,
+    answers_of_phantom,
     answers_of_sensor,
 )
 from splitknit_rig.calibration.card_model import CardPlane
@@ -29,7 +30,7 @@ from splitknit_rig.capture.folder import CaptureOptions, capture_to_folder
 from splitknit_rig.capture.openers import Opener
 from splitknit_rig.capture.session import SessionSettings
 
-PARTS = ("card", "ball", "finger_1", "finger_2")
+PARTS = ("card", "phantom", "ball", "finger_1", "finger_2")
 """Folders of the photographs, in the order in which they are taken."""
 
 
@@ -38,6 +39,7 @@ class Photographs:
     """All that a rig is judged by."""
 
     card: Taken
+    phantom: Taken
     ball: Taken
     finger: tuple[Taken, Taken]
     series: tuple[Array, Array]
@@ -65,7 +67,7 @@ def read_photographs(folders: Mapping[str, Path], rig: Rig) -> tuple[Photographs
         )
         hashes |= {f"{part}/{name}": digest for name, digest in capture.hashes.items()}
     own: dict[str, str] = {}
-    card, ball = (_parallel(captures[part]) for part in ("card", "ball"))
+    card, phantom, ball = (_parallel(captures[part]) for part in PARTS[:3])
     series: tuple[Array, Array] | None = np.empty((0, 0)), np.empty(0)
     if isinstance(card, Capture):
         series = exposure_series(folders["card"], card, own)
@@ -77,7 +79,7 @@ def read_photographs(folders: Mapping[str, Path], rig: Rig) -> tuple[Photographs
     assert series is not None
     hashes |= {f"card/{name}": digest for name, digest in own.items()}
     finger = captures["finger_1"], captures["finger_2"]
-    return Photographs(card, ball, finger, series), hashes
+    return Photographs(card, phantom, ball, finger, series), hashes
 
 
 def _parallel(capture: Taken) -> Taken:
@@ -98,6 +100,8 @@ def answers_of(taken: Photographs, rig: Rig, ball_mm: float, progress: Progress)
     answers += answers_of_card(taken.card, rig, plane)
     progress("ball", 0.6)
     answers += answers_of_ball(taken.ball, rig, ball_mm)
+    progress("phantom", 0.65)
+    answers += answers_of_phantom(taken.phantom)
     progress("finger", 0.7)
     return answers + answers_of_finger(*taken.finger)
 
@@ -105,8 +109,8 @@ def answers_of(taken: Photographs, rig: Rig, ball_mm: float, progress: Progress)
 def take_photographs(
     openers: Mapping[str, Opener], out: Path, lay: Callable[[str], None], progress: Progress
 ) -> dict[str, Path]:
-    """Photograph card, ball and finger into folders of `out`; `lay` asks for each. The finger stays
-    where it is between its two captures. BadInput where nothing can be captured."""
+    """Photograph card, phantom, ball and finger into folders of `out`; `lay` asks for each. The
+    finger stays where it is between its two captures. BadInput where nothing can be captured."""
     for number, (part, opener) in enumerate(openers.items()):
         lay(part)
         find = part == "finger"
@@ -118,7 +122,7 @@ def take_photographs(
             progress(f"{part}: {stage}", 0.5 * (number + fraction) / len(openers))
 
         with opener(0, 0) as devices:
-            for name in PARTS[2:] if find else (part,):
+            for name in PARTS[3:] if find else (part,):
                 try:
                     capture_to_folder(devices, out / name, how, subject={}, progress=report)
                 except Refused:  # what was wrong shows in the answers

@@ -40,11 +40,13 @@ from splitknit_rig.acceptance.parameters import (
     LEAK_PERCENT,
     MIN_CARD_LEVEL_PERCENT,
     MIN_REPEATABILITY,
+    MIN_RIDGES,
     MIN_SHARPNESS_PERCENT,
     MOTION_MM,
     NONLINEAR_PERCENT,
     TURN_DEG,
 )
+from splitknit_rig.acceptance.phantom import ridge_heights
 from splitknit_rig.calibration.card_model import CardPlane, card_light, rays_to_led
 from splitknit_rig.calibration.light_sources import place_on_plane
 from splitknit_rig.calibration.lights import led_name
@@ -73,6 +75,7 @@ BRIGHT = Question("brightness by light", BRIGHTNESS_PERCENT, "% off the rig file
 BEAM = Question("light across the card", BEAM_PERCENT, "% off the rig file")
 FLAT = Question("flatness of the card", FLATNESS_DEG, "deg rms")
 LEAK = Question("light leaks", LEAK_PERCENT, "% of an LED's light")
+RIDGES = Question("ridges of the phantom", MIN_RIDGES, "correlation", at_least=True)
 RADIUS = Question("radius of the ball", BALL_PERCENT, "% off the true one")
 ORDER = Question("LEDs out of order", 0.0, "LEDs")
 AIMED = Question("direction of each LED", DIRECTION_DEG, "deg off the rig file")
@@ -228,6 +231,20 @@ def _leak(band: Band, encoding: str) -> float:
     exposure = (band.ambient_exposure, band.ambient_black_level)
     dark = pick_channel(linear_image(band.ambient, encoding, *exposure, binning=2), "grey")
     return float(np.mean(dark)) / float(np.mean(linear_stack(band, encoding, "grey", binning=2)))
+
+
+# The phantom.
+
+
+def answers_of_phantom(capture: Taken) -> list[Answer]:
+    """What the printed phantom shows of ridges, by the surface that the default method finds."""
+
+    def ask() -> Iterator[Answer]:
+        result = reconstruct(_used(capture), "metric", {"keep": True})
+        height, likeness = ridge_heights(result)
+        yield _answer(RIDGES, likeness, f"{100 * height:.0f} % of the height drawn")
+
+    return _asked([RIDGES], ask)
 
 
 # The ball.

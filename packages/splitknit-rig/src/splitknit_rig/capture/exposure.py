@@ -73,7 +73,7 @@ class Exposure:
         return replace(self, expected={led: ratio * max(level, 0.0) for led, level in lit.items()})
 
 
-def _split(
+def exposure_of(
     product_s: float, camera: ExposureRange, settings: ExposureSettings
 ) -> tuple[float, float]:
     """Exposure time and gain whose product is `product_s`, or as near as the camera can: time
@@ -111,7 +111,7 @@ def survey(
     """
     product = START_S
     while True:
-        time_s, gain = _split(product, camera, settings)
+        time_s, gain = exposure_of(product, camera, settings)
         frames, levels = {}, []
         for led in leds:
             frames[led] = look(led, time_s, gain)
@@ -121,12 +121,12 @@ def survey(
         if levels[-1] >= CLIPPED_PREVIEW:
             product /= 4
             require(
-                _split(product, camera, settings) != (time_s, gain),
+                exposure_of(product, camera, settings) != (time_s, gain),
                 "the picture is overexposed even with the shortest exposure: another light is on;"
                 " close the lid, or lower the LEDs' current.",
             )
             continue
-        at_limit = _split(2 * product, camera, settings) == (time_s, gain)
+        at_limit = exposure_of(2 * product, camera, settings) == (time_s, gain)
         require(
             not at_limit or max(levels) >= 0.01,
             "nothing is seen under any LED, even with the longest exposure; check the LEDs' supply"
@@ -154,7 +154,7 @@ def find_exposure(
             if level >= CLIPPED_PREVIEW
             else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
         )
-        wanted = _split(time_s * gain * factor, camera, settings)
+        wanted = exposure_of(time_s * gain * factor, camera, settings)
         if np.allclose(wanted, (time_s, gain), rtol=1e-6):
             break  # the camera's limit
         time_s, gain = wanted

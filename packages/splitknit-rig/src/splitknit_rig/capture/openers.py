@@ -51,6 +51,8 @@ def _twin(
     from functools import partial
 
     from splitknit.registry import DEVICES, SIMULATOR, extension
+    from splitknit_rig.acceptance.phantom import PITCH_MM, phantom
 
+    relief = (phantom()[0].height_mm, PITCH_MM) if target == "phantom" else None
     twin = extension(DEVICES, "twin", "the rig's twin", SIMULATOR)(changes, rig, scale)
-    return partial(twin.opened, pattern=pattern, target=target)
+    return partial(twin.opened, pattern=pattern, target=target, relief=relief)

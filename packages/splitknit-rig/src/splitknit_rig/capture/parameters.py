@@ -186,3 +186,35 @@ SHINE_PERCENTILE = 99.5
 
 Unit: percentile. Chosen on: not known. Range: not known.
 """
+
+# --- preview
+
+PREVIEW_PORT = 8765
+"""Port of the preview's page, on 127.0.0.1.
+
+Unit: none. Chosen on: judgement. Range: any that is free.
+"""
+
+PREVIEW_S = 600.0
+"""For how long the preview goes on, and its LED is lit.
+
+Unit: s. Chosen on: judgement. Range: not known.
+"""
+
+PREVIEW_PX = 640
+"""Columns of the preview's pictures at most.
+
+Unit: px. Chosen on: judgement. Range: not known.
+"""
+
+HISTOGRAM_BINS = 64
+"""Of the preview's histogram.
+
+Unit: none. Chosen on: judgement. Range: not known.
+"""
+
+PATIENCE_S = 2.0
+"""A connection that asks nothing is closed after this.
+
+Unit: s. Chosen on: judgement. Range: not known.
+"""

@@ -153,8 +153,9 @@ class BenchSettings(Checked):
     led_radius_mm: Annotated[float, Limits(0.0, 10.0)] = 1.5
     """Radius of the LEDs' bright faces: a 5 mm LED's die and cup fill about 3 mm of its lens."""
     aperture_mm: Annotated[float, Limits(0.0, 20.0)] = 0.0
-    """Diameter of the camera's pupil, in focus on the finger plane; 0 is a pinhole, sharp at every
-    depth."""
+    """Diameter of the camera's pupil; 0 is a pinhole, sharp at every depth."""
+    focus_mm: Annotated[float, Limits(-50.0, 50.0)] = 0.0
+    """Height above the finger plane that is in focus."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -254,9 +255,9 @@ class GroundScene(ABC):
 
     @cached_property
     def _blur(self) -> FloatArray:
-        camera, depth = self.camera, self._depth.astype(np.float32)
+        camera, depth, focus = self.camera, self._depth.astype(np.float32), self.bench.focus_mm
         return blur_sigma_px(
-            depth, 0.0, camera.height_mm, self.bench.aperture_mm, px_per_mm_at(camera, 0.0)
+            depth, focus, camera.height_mm, self.bench.aperture_mm, px_per_mm_at(camera, focus)
         )
 
     @property

@@ -30,6 +30,11 @@ Unit: fraction. Chosen on: judgement. Range: not known.
 
 # --- solids
 
+RELIEF_STEPS = 10
+"""Steps in which a line of sight finds a relief.
+
+Unit: none. Chosen on: judgement. Range: not known.
+"""
 RIM_SAMPLES = 12
 """Samples across a pixel in which the rim of an LED's mirror image lies.
 

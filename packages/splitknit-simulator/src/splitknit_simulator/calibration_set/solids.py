@@ -1,5 +1,5 @@
-"""What stands on the rig's base: the nail, whose shadows show where the LEDs are, and a chrome or
-grey ball."""
+"""What stands on the rig's base: the nail, whose shadows show where the LEDs are, a chrome or grey
+ball, and a printed phantom."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit import Led
 from splitknit.errors import require
+from splitknit.model import FloatArray
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
     SightLines,
@@ -24,7 +25,7 @@ from splitknit_simulator.calibration_set.bench import (
     seen_at,
     steps,
 )
-from splitknit_simulator.calibration_set.parameters import RIM_SAMPLES
+from splitknit_simulator.calibration_set.parameters import RELIEF_STEPS, RIM_SAMPLES
 from splitknit_simulator.light.lighting import UNIT, irradiance
 from splitknit_simulator.surface import Array
 
@@ -422,6 +423,58 @@ class SphereScene(_SolidScene):
 
 def _cut(sight: SightLines, window: Window) -> SightLines:
     return SightLines(*(part[window] for part in sight))
+
+
+# A printed phantom: heights above a plane, on dark ground.
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReliefScene(_SolidScene):
+    """A matt grey thing of known heights, its highest point on the finger plane."""
+
+    height_mm: FloatArray
+    """(h, w) on a grid of `pitch_mm`, up its rows' beginning; NaN where there is none."""
+    pitch_mm: float
+    reflectance: float = 0.5
+    ground: float = 0.02
+
+    @cached_property
+    def _solid(self) -> tuple[Window, Array, Lines] | None:
+        inside = np.isfinite(self.height_mm)
+        top = float(np.nanmax(self.height_mm))
+        below = np.where(inside, self.height_mm, np.nanmin(self.height_mm)) - top
+        rise, across = map(np.asarray, np.gradient(below, self.pitch_mm))
+        way = np.stack([self._sight.slope_x, self._sight.slope_y, -np.ones_like(self._sight.x)], -1)
+        way = way @ self.plane.axes
+        way /= way[..., 2:]
+        w = np.zeros(self.camera.image_size)
+        for _ in range(RELIEF_STEPS):  # a contraction: the slope of a line of sight times a skirt's
+            u, v = self._hit[0] + w * way[..., 0], self._hit[1] + w * way[..., 1]
+            w = self._sampled(below, u, v)
+        slopes = [-self._sampled(across, u, v), self._sampled(rise, u, v)]
+        normals = unit(np.stack([*slopes, np.ones_like(u)], axis=-1))
+        lines = self.plane.points(u, v, w), normals @ self.plane.axes.T
+        whole = slice(0, w.shape[0]), slice(0, w.shape[1])
+        return whole, self._sampled(inside, u, v), lines
+
+    def _radiance(self, leds: tuple[Led, ...], seen: Lines) -> Array:
+        return self._matt(leds, *seen, self.reflectance)
+
+    def _sampled(self, values: NDArray[Any], u: Array, v: Array) -> Array:
+        """Values of the grid at u and v on the plane; beside it those of its edge."""
+        rows, columns = values.shape
+        place = (
+            (u - self.position_mm[0]) / self.pitch_mm + (columns - 1) / 2,
+            (rows - 1) / 2 - (v - self.position_mm[1]) / self.pitch_mm,
+        )
+        column, row = (axis.astype(np.float32) for axis in place)
+        return cv2.remap(
+            values.astype(np.float32),
+            column,
+            row,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        ).astype(np.float64)
 
 
 # LEDs in a mirror: where lines of sight go after it, and whether they end on an LED's bright face.
