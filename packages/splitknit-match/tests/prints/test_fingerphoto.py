@@ -243,3 +243,43 @@ def test_a_box_or_mask_that_does_not_fit_the_photograph_is_refused(
         assert words in capsys.readouterr().err
         assert not out.exists()
         assert not gallery.exists()
+
+
+def on_pale_ground(
+    ridge_contrast: float, *, finger: float = 1.0, shadow: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Photograph by soft daylight, without flash, of a finger on a ground of nearly its colour, and
+    its mask. `finger`: 0 leaves the ground alone; `shadow`: of a hand's finger on it, soft."""
+    _, inside = drawn(8.0)
+    inside = cv2.resize(inside.astype(np.uint8), (920, 1040), interpolation=cv2.INTER_NEAREST) > 0
+    row, column = np.indices(inside.shape).astype(np.float32)
+    depth = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    round_ = np.sqrt(1 - (1 - np.clip(depth / 220, 0, 1)) ** 2)
+    ridges = 1 + ridge_contrast * np.cos(2 * np.pi * row / 12 + 1.5 * np.sin(column / 95))
+    skin = ((0.75 + 0.25 * round_) * ridges)[..., None] * np.array([0.70, 0.62, 0.55])
+    soft = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 12)[..., None]
+    ground = np.array([0.72, 0.68, 0.62]) * (1 - shadow * soft)
+    light = np.where(inside[..., None] & (finger > 0), skin, ground)
+    vignette = 1 - 0.4 * ((row - 520) ** 2 + (column - 460) ** 2) / (520**2 + 460**2)
+    light = cv2.GaussianBlur(0.8 * light * vignette[..., None], (0, 0), 1.0)
+    light += np.random.default_rng(0).normal(0, 0.004, light.shape)
+    return np.rint(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8), inside
+
+
+@pytest.mark.parametrize("ridge_contrast", [0.03, 0.06])
+def test_a_finger_on_a_ground_of_nearly_its_colour_is_segmented(ridge_contrast: float) -> None:
+    photo, inside = on_pale_ground(ridge_contrast)
+    assert overlap(finger_in_photo(photo).mask, inside) > 0.95
+
+
+@pytest.mark.parametrize(
+    ("ridge_contrast", "finger", "shadow"),
+    [(0.0, 0.0, 0.0), (0.0, 0.0, 0.3), (0.0, 1.0, 0.0)],
+    ids=["ground alone", "a hand's shadow", "a smooth strip"],
+)
+def test_a_pale_ground_without_a_finger_is_refused(
+    ridge_contrast: float, finger: float, shadow: float
+) -> None:
+    photo, _ = on_pale_ground(ridge_contrast, finger=finger, shadow=shadow)
+    with pytest.raises(BadInput, match="no finger was found"):
+        finger_in_photo(photo)

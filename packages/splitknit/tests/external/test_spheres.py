@@ -47,8 +47,9 @@ def test_normals_follow_the_sphere(ball):
 
 
 @pytest.mark.parametrize("masked", [False, True])
-def test_an_outline_that_takes_in_the_wall_behind_is_noted(ball, masked):
+def test_the_wall_behind_is_left_out_with_a_finding(ball, masked):
     stack, lights, mask, _ = ball
     result = splitknit.reconstruct_images(stack, lights, mask if masked else None)
-    noted = "outline-at-border" in [finding.code for finding in result.findings]
+    noted = "background-left-out" in [finding.code for finding in result.findings]
     assert noted == (not masked)
+    assert (result.mask & mask).sum() / (result.mask | mask).sum() > 0.95

@@ -472,6 +472,27 @@ Unit: fraction. Chosen on: simulated fingers (100 drawn photographs over natural
 pictures without a finger). Range: not known.
 """
 
+CLEAR_RIDGES = 0.3
+"""From this likeness by ridges on, the contrast of a tip is judged by its ground's variation.
+
+Unit: none. Chosen on: drawn photographs on pale grounds (tests/prints/test_fingerphoto.py); smooth
+strips have 0.2. Range: not known.
+"""
+
+FULL_CONTRAST = 12.0
+"""Contrast of a tip to any ground from which on more does not count.
+
+Unit: weighted CIELAB. Chosen on: simulated fingers (100 drawn photographs over natural pictures, 16
+pictures without a finger). Range: not known.
+"""
+
+PLAIN_CONTRAST = 5.0
+"""The same to a ground without any texture.
+
+Unit: weighted CIELAB. Chosen on: drawn photographs on pale grounds
+(tests/prints/test_fingerphoto.py). Range: 4 to 6 found the same fingers.
+"""
+
 SEARCHED_LIKENESS = 0.01
 """Least likeness by shape and colour of what is searched for ridges.
 

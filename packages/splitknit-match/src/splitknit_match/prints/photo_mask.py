@@ -28,9 +28,11 @@ from splitknit_match.prints.parameters import (
     BLOCK_STEP,
     CANDIDATES,
     CAP,
+    CLEAR_RIDGES,
     EDGE_TURNS,
     FINE_PX,
     FIT_PX,
+    FULL_CONTRAST,
     LAB_WEIGHTS,
     MAX_BLOCKS,
     MAX_CONTRAST,
@@ -39,6 +41,7 @@ from splitknit_match.prints.parameters import (
     MIN_LIKENESS,
     NO_RIDGES,
     OUTLINE_STEP,
+    PLAIN_CONTRAST,
     RATED_LENGTH,
     RIDGE_COUNTS,
     SEARCH_PX,
@@ -141,10 +144,13 @@ def finger_in_photo(
     for candidate in _candidates(_reduced(fine, SEARCH_PX)):
         outline = _fitted(candidate, lab, colours, RATED_LENGTH, 0.3)
         outline = _fitted(outline, lab, colours, RATED_LENGTH, 0.2)
-        likeness = _likeness(outline, lab)
+        likeness, on_plain_ground = _likeness(outline, lab)
         middle = outline.middle * side
-        if likeness > SEARCHED_LIKENESS and ((middle >= low) & (middle <= high)).all():
-            rated.append((likeness * _ridge_likeness(part, outline), outline))
+        if on_plain_ground > SEARCHED_LIKENESS and ((middle >= low) & (middle <= high)).all():
+            ridges = _ridge_likeness(part, outline)
+            # where ridges are seen, a pale ground may have nearly the colour of skin
+            likeness = on_plain_ground if ridges > CLEAR_RIDGES else likeness
+            rated.append((likeness * ridges, outline))
     rated.sort(key=itemgetter(0), reverse=True)
     require(
         rated and rated[0][0] >= (MIN_LIKENESS if box is None else MIN_IN_BOX),
@@ -406,23 +412,26 @@ def _resemblance(
     return np.clip(ratio, -2, 2).astype(np.float32).ravel()[colours]
 
 
-def _likeness(outline: Outline, lab: FloatArray) -> float:
-    """How much an outline and the colours in it are like a finger's, 0 to 1."""
+def _likeness(outline: Outline, lab: FloatArray) -> tuple[float, float]:
+    """How much an outline and the colours in it are like a finger's, 0 to 1: by the contrast of its
+    tip, and by that contrast relative to how much the ground beyond varies."""
     side = max(lab.shape)
     inside = filled(outline.corners(side, 1.4, 0.85), lab.shape[:2])
     if inside.sum() < 30:
-        return 0.0
+        return 0.0, 0.0
     tip, _ = _tip_model(np.linspace(-1.3, 1.3, 15))
     vectors = np.vstack([tip * 0.85 + np.array([0.0, 0.09]), tip * 1.25 - np.array([0.0, 0.15])])
     x, y = (outline.places(vectors) * side).astype(np.float32).T
     values = cv2.remap(lab, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     within, beyond = values.reshape(2, len(tip), 3)
-    contrast = float(np.clip(np.linalg.norm(within - beyond, axis=1) / 12.0, 0, 1).mean())
+    steps = np.linalg.norm(within - beyond, axis=1)
+    varied = 2 * float(np.linalg.norm(beyond.std(axis=0)))
+    full = FULL_CONTRAST, min(max(varied, PLAIN_CONTRAST), FULL_CONTRAST)
+    contrast, relative = (float(np.clip(steps / each, 0, 1).mean()) for each in full)
     spread = float(np.linalg.norm(lab[inside].std(axis=0)[1:]))
-    likeness = (
-        np.clip((outline.edges - 0.4) / 0.45, 0, 1) * contrast**2 * np.exp(-((spread / 8.0) ** 2))
-    )
-    return float(likeness * _skin_likeness(lab[inside]).mean())
+    shape = np.clip((outline.edges - 0.4) / 0.45, 0, 1) * np.exp(-((spread / 8.0) ** 2))
+    likeness = float(shape * _skin_likeness(lab[inside]).mean())
+    return likeness * contrast**2, likeness * relative**2
 
 
 def _ridge_likeness(pixels: PixelArray, outline: Outline) -> float:

@@ -197,6 +197,10 @@ CODES: dict[str, Code] = {
         "The outline that was found touches a border of the image, and may hold what lies behind.",
         "Look at it in the report, or give a mask (`--mask`).",
     ),
+    "background-left-out": Code(
+        "What lies behind the object reaches a border of the image and was left out.",
+        "Look at the outline in the report, or give a mask (`--mask`).",
+    ),
     "square-pixels": Code(
         "Pixels of a print that were not square were made so.", "Nothing; or scan it again."
     ),

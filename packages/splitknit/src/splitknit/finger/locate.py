@@ -19,12 +19,14 @@ from splitknit.finger.mask import (
     check_borders,
     finger_mask,
     finger_masks,
+    object_before_wall,
     touched_borders,
 )
 from splitknit.finger.motion import MotionSettings, motion_findings, shot_motion
 from splitknit.finger.orientation import Upright, as_it_lies, find_upright
 from splitknit.finger.parameters import (
     BEYOND_CREASE_MM,
+    MIN_OBJECT_CONTOUR,
     QUALITY_MARGIN_MM,
     SURVEY_PX_PER_MM,
     SURVEY_SIDE,
@@ -55,6 +57,12 @@ from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.parameters import IN_MEMORY
 from splitknit.plausible import FINGER_WIDTH
 from splitknit.settings import Checked
+
+_WALL_LEFT_OUT = Finding(
+    "background-left-out",
+    "what lies behind the object reaches a border of the image and was left out, being far darker:"
+    " see in the report that the object is whole, or give a `mask`.",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +144,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     small_px = px_per_mm / binning
     skin = capture.material == "skin"
     stated_mask = capture.mask is not None
+    wall: tuple[Finding, ...] = ()
     if capture.mask is not None:
         outline = reduced(capture.mask, grey.shape)
         require(
@@ -143,7 +152,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
             "the given mask is too small: not one block of pixels lies inside it; mark all of it.",
         )
     else:
-        outline = _outline(capture, image, binning, settings.mask.method)
+        outline, wall = _outline(capture, image, stack, binning, settings.mask.method)
     quality, of_quality = _quality(capture, stack, outline, binning)
     stated = capture.tip_direction_deg is not None
     searched = skin and not stated and not capture.rig.mirrors
@@ -170,6 +179,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     findings: list[Finding] = []
     if skin and not stated_mask and not capture.rig.mirrors:
         findings += _other_fingers(image, small_px)
+    findings += wall
     findings += (
         _check_width(usable, small_px, stated_mask) if skin else _at_border(outline, stated_mask)
     )
@@ -212,9 +222,14 @@ def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
 
 
 def _outline(
-    capture: Capture, image: FloatArray, binning: int, method: Literal["grown", "kmeans"]
-) -> BoolArray:
-    """Mask of the finger itself, not of its mirror images, in the mean of the white images."""
+    capture: Capture,
+    image: FloatArray,
+    stack: FloatArray,
+    binning: int,
+    method: Literal["grown", "kmeans"],
+) -> tuple[BoolArray, tuple[Finding, ...]]:
+    """Mask of the finger itself, not of its mirror images, in the mean of the white images; of an
+    object, without the wall behind it, and a note where one was left out."""
     camera = capture.rig.camera
     if capture.rig.mirrors:
         mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
@@ -224,6 +239,9 @@ def _outline(
     except BadInput as error:
         words = str(error)
         if capture.material == "opaque":
+            part = object_before_wall(stack)
+            if part is not None:
+                return part, (_WALL_LEFT_OUT,)
             words = words.replace("no finger", "no object").replace("the finger", "the object")
             words = words.replace("its tip and both sides are", "all of it is")
             words = words.replace(
@@ -239,7 +257,11 @@ def _outline(
         raise BadInput(words.replace(" or give", f" and the scale, {shows}, or give")) from error
     if capture.material == "skin":
         check_borders(outline)
-    return outline
+    elif touched_borders(outline):
+        part = object_before_wall(stack)
+        if part is not None and float(outline[part].mean()) > MIN_OBJECT_CONTOUR:
+            return part, (_WALL_LEFT_OUT,)
+    return outline, ()
 
 
 def _check_width(mask: BoolArray, px_per_mm: float, stated: bool) -> tuple[Finding, ...]:

@@ -20,14 +20,20 @@ from splitknit.finger.parameters import (
     BRIGHT_BACKGROUND,
     COARSE_PX_PER_MM,
     COLOURED_BACKGROUND,
+    CONTOUR_REACH,
     EDGE_FRACTION,
     EDGE_MARGIN_MM,
     FEW_BACKGROUND_SAMPLES,
     FINE_PX_PER_MM,
     MIN_EDGE_STEP,
     MIN_FINGER_AREA,
+    MIN_OBJECT_AREA,
+    MIN_OBJECT_CONTOUR,
+    MIN_OBJECT_STEP,
+    MIN_SHADING_DEG,
     MIN_WIDTH_MM,
     NOISE_FACTOR,
+    OBJECT_SPLITS,
     OUTLINE_BLUR_MM,
     OUTLINE_PX_PER_MM,
     OUTLINE_SPECK_MM,
@@ -164,6 +170,54 @@ def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
     return [labels == 1 + k for k in np.flatnonzero(areas >= MIN_FINGER_AREA * areas.max())]
+
+
+def object_before_wall(stack: FloatArray) -> BoolArray | None:
+    """The bright object (H, W) before something darker that reaches the border, or None where no
+    such object is certain.
+
+    `stack`: (L, H, W) images, linear. The object is the largest bright part of two clusters of the
+    logarithm of the greatest brightness over the lights, which cast shadows hardly change. It is
+    certain if it touches no border of the image, is far brighter than what lies beyond almost all
+    of its outline, and its shading differs from place to place: a flat print in black and white is
+    one object.
+    """
+    if min(stack.shape[1:]) < 16:
+        return None
+    brightest = blur(stack.max(axis=0), 1.0)
+    floor = 1e-3 * max(float(brightest.max()), 1e-12)
+    level = np.log(np.maximum(brightest, floor))
+    part = np.ones(level.shape, dtype=np.bool_)
+    for _ in range(OBJECT_SPLITS):  # black beside a dim wall is split off first
+        bright = np.zeros_like(part)
+        bright[part] = _bright_cluster(level[part])
+        if not bright.any():
+            return None
+        part = remove_spurs(fill_holes(largest_component(bright)), SPUR_FRACTION)
+        if not _border(part).any():
+            break
+    if part.mean() < MIN_OBJECT_AREA or _border(part).any():
+        return None
+    reach = max(4.0, CONTOUR_REACH * max(part.shape))
+    inside, cover = _local_mean(brightest, part & ~erode(part, reach), 0.5 * reach)
+    contour = dilate(part, reach) & ~dilate(part, 0.5 * reach)
+    apart = (inside > MIN_OBJECT_STEP * brightest) & (cover > 1e-3)
+    if float(apart[contour].mean()) < MIN_OBJECT_CONTOUR:
+        return None
+    profiles = stack[:, part]
+    profiles = profiles / np.maximum(np.sqrt(np.square(profiles).sum(axis=0)), floor)
+    mean = profiles.mean(axis=1)
+    cosine = np.einsum("ln,l->n", profiles, mean / np.sqrt(np.square(mean).sum()))
+    turn_deg = np.degrees(np.arccos(np.clip(np.median(cosine), 0.0, 1.0)))
+    return part if turn_deg > MIN_SHADING_DEG else None
+
+
+def _bright_cluster(values: FloatArray) -> BoolArray:
+    """Membership of the upper of two clusters of values (N,)."""
+    second, _ = _two_means(values[:, None])
+    if not second.any() or second.all():
+        return np.zeros_like(second)
+    return second if values[second].mean() > values[~second].mean() else ~second
 
 
 def touched_borders(mask: BoolArray) -> tuple[str, ...]:

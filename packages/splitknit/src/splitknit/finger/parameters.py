@@ -127,6 +127,42 @@ off.
 Unit: mm. Chosen on: not known. Range: 0.5 to 2 (validation/parameters).
 """
 
+OBJECT_SPLITS = 3
+"""How often the brighter part is split again while it touches a border of the image.
+
+Unit: none. Chosen on: drawn scenes (tests/finger/test_object.py). Range: not known.
+"""
+
+MIN_OBJECT_AREA = 0.02
+"""Smallest object that is told from what lies behind it.
+
+Unit: fraction of the image. Chosen on: judgement. Range: not known.
+"""
+
+MIN_OBJECT_STEP = 2.0
+"""An object is at least so many times as bright as what lies beyond its outline.
+
+Unit: ratio. Chosen on: drawn scenes (tests/finger/test_object.py). Range: not known.
+"""
+
+MIN_OBJECT_CONTOUR = 0.9
+"""Least part of its outline along which it is.
+
+Unit: fraction. Chosen on: drawn scenes (tests/finger/test_object.py). Range: not known.
+"""
+
+CONTOUR_REACH = 0.01
+"""How far on either side of its outline both are measured.
+
+Unit: longer sides of the image. Chosen on: judgement. Range: not known.
+"""
+
+MIN_SHADING_DEG = 4.0
+"""Least median angle between the brightness over the lights of an object's pixels and its mean.
+
+Unit: degrees. Chosen on: drawn scenes (tests/finger/test_object.py). Range: not known.
+"""
+
 EDGE_MARGIN_MM = 1.0
 """Width of the zone along the outline that counts neither as finger nor as background while either
 is measured.
