@@ -91,8 +91,8 @@ def test_refused(rig_file, tmp_path):
     with pytest.raises(BadInput, match="`card` does not go with `device`"):
         check_rig(rig_file, out=out, device="twin", card="a")
     with pytest.raises(BadInput, match=r"a.*capture"):
-        given = {**no_phantom, "card": tmp_path / "a", "phantom": "p"}
-        check_rig(rig_file, out=out, **folders_named)
+        absent = {**no_phantom, "card": tmp_path / "a", "phantom": "p"}
+        check_rig(rig_file, out=out, **absent)
     with pytest.raises(BadInput, match="`ball_mm` must be positive"):
         check_rig(rig_file, out=out, device="twin", ball_mm=0.0)
     assert not out.exists()
