@@ -10,6 +10,7 @@ import numpy as np
 from rough_dome import scene
 from splitknit.io.plain import capture_of_arrays
 from splitknit.methods.photographs import FingerPhotographs, prepared
+from splitknit.model import Camera
 from splitknit.presets import PRESETS
 
 PX_PER_MM = 10.0
@@ -37,3 +38,13 @@ def dome(
     photographed, _ = capture_of_arrays(pixels, lights, mask, px_per_mm, np.ones(len(lights)))
     photographs = prepared(photographed, PRESETS[preset])
     return replace(photographs, capture=replace(photographs.capture, **capture))
+
+
+def from_40_mm(camera: Camera) -> Camera:
+    """The camera as a perspective one, 40 mm above the plane."""
+    rows, columns = camera.image_size
+    focal_px = 40.0 * camera.px_per_mm
+    matrix = np.array(
+        [[focal_px, 0, (columns - 1) / 2], [0, focal_px, (rows - 1) / 2], [0, 0, 1]], dtype=float
+    )
+    return replace(camera, model="perspective", height_mm=40.0, matrix=matrix)

@@ -171,6 +171,12 @@ class TestOpaque:
         }
         assert surface.uncertainty_um is None
 
+    def test_a_near_infrared_band_is_named_for_its_shape(self):
+        photographs = dome("metric")
+        white, nir = self.bands()
+        both = replace(photographs, bands=(white.band, nir.band))
+        assert metric.opaque_surface(both, METRIC).facts["shape_source"] == "nir"
+
     def test_estimated_lights_are_stated_with_what_they_leave_open(self, monkeypatch):
         monkeypatch.setattr(metric, "bas_relief_of", lambda rig: 0.25)
         asked = []
@@ -217,9 +223,21 @@ class TestNearSlopes:
             return near_light(images, rig, surface, inside, view=view)
 
         monkeypatch.setattr(metric, "_near_normals", seen)
-        monkeypatch.setattr(metric, "integrated", lambda slopes, *_: 0 * slopes[0] + 0.5)
         p = METRIC.parameters(False, "opaque")
+        by_rows, dropped = metric.by_rows, []
+
+        def integrated(slopes, photographs, height):
+            assert (photographs, height) == (near, p.height)
+            return 0 * slopes[0] + 0.5
+
+        def watched(photographs, solve, *, without_clipped):
+            dropped.append(without_clipped)
+            return by_rows(photographs, solve, without_clipped=without_clipped)
+
+        monkeypatch.setattr(metric, "integrated", integrated)
+        monkeypatch.setattr(metric, "by_rows", watched)
         metric.near_slopes(near, p.photometry.normals, p.height)
+        assert dropped == [True] * 3
         assert [float(surface.mean()) for surface in surfaces] == [2.0, 2.5, 2.5]
 
     def test_other_normals_are_those_of_distant_lights(self, monkeypatch):
@@ -433,9 +451,9 @@ class TestNotes:
 
     def test_a_common_factor_is_noted_where_there_is_little_gloss(self):
         assert self.network(gloss=LITTLE_GLOSS) == ()
-        (note,) = self.network(gloss=np.nextafter(LITTLE_GLOSS, 0))
+        (note,) = self.network(gloss=np.nextafter(LITTLE_GLOSS, 0), gain_uncertainty=0.7)
         assert note.code == "little-gloss"
-        assert "standard deviation 20 %" in str(note)
+        assert "standard deviation 70 %" in str(note)
 
     @pytest.mark.parametrize(("crossed", "words"), [(None, "by colour"), ("films", "crossed")])
     def test_unused_specular_light_stands_first(self, crossed, words):
@@ -502,7 +520,14 @@ class TestOnPixels:
     def test_the_photographs_choose_the_method(self, chosen, name, films, side, heights):
         side = side and (None, None, ring("white"))
         surface = metric._on_pixels(skin_images(crossed=films, side=side), METRIC, 0.0)
-        assert [called for called, _ in chosen] == [name]
+        ((called, arguments),) = chosen
+        assert called == name
+        *images_given, skin, p, networks = arguments
+        assert (skin, p, networks) == (METRIC.skin, METRIC.metric, None)
+        if name == "metric_skin":
+            bands, grid = images_given
+            assert [band.channels for band in bands] == [("red", "green", "blue")] * 2
+            assert grid.shape == (SIDE, SIDE)
         assert surface.facts["heights"] == heights
         assert surface.facts["shape_source"] == "nir"
 

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dome_photographs import COLOUR, PX_PER_MM, dome
+from dome_photographs import COLOUR, PX_PER_MM, dome, from_40_mm
 from splitknit.errors import BadInput
 from splitknit.imaging.band import GREY_WEIGHTS, linear_stack
+from splitknit.imaging.view import view_of
 from splitknit.methods import photometry
 from splitknit.methods.parameters import CLIPPED, MAX_SLOPE
 from splitknit.photometric.lambertian import lambertian
@@ -141,6 +142,7 @@ class TestColourAlbedo:
     def test_strips_give_the_same(self, colours, monkeypatch):
         albedo = np.full(colours.inside.shape, 0.5, dtype=np.float32)
         whole = photometry.colour_albedo(colours, albedo)
+        assert (whole[0].sum(axis=-1) > 0).any()
         monkeypatch.setattr(photometry, "IN_MEMORY", 1)
         np.testing.assert_array_equal(photometry.colour_albedo(colours, albedo), whole)
 
@@ -187,6 +189,17 @@ class TestSlopes:
         x, _ = photometry.slopes_of(normals, white)
         np.testing.assert_allclose(x[white.inside], -MAX_SLOPE, rtol=1e-5)
 
+    def test_a_pixels_own_ray_is_upright(self, white):
+        """Under a perspective camera a normal along the ray has no slope."""
+        camera = from_40_mm(white.capture.rig.camera)
+        rig = replace(white.capture.rig, camera=camera)
+        under = replace(white, capture=replace(white.capture, rig=rig))
+        view = view_of(camera, *white.finger.window, along_rays=True)
+        upright = np.broadcast_to(np.float32((0.0, 0.0, 1.0)), (*white.inside.shape, 3))
+        x, y = photometry.slopes_of(view.in_rig(upright), under)
+        assert np.abs(x).max() < 1e-5
+        assert np.abs(y).max() < 1e-5
+
 
 class TestIntegrated:
     @pytest.mark.parametrize("method", ["poisson", "frankot_chellappa"])
@@ -223,9 +236,22 @@ class TestIntegrated:
     def test_a_flat_thing_may_be_a_pixel_deep(self, white, monkeypatch):
         flat = np.zeros(white.inside.shape)
         span = np.linspace(0.0, 1.0, white.inside.size).reshape(white.inside.shape)
+        monkeypatch.setattr(photometry, "poisson", lambda *_: 1.01 * span)
+        with pytest.raises(BadInput, match="steep rim"):
+            photometry.integrated((flat, flat), white, HeightSettings(method="poisson"))
         monkeypatch.setattr(photometry, "poisson", lambda *_: span)
         height = photometry.integrated((flat, flat), white, HeightSettings(method="poisson"))
         np.testing.assert_allclose(height, span / PX_PER_MM)
+
+    def test_frankot_chellappa_integrates_inside_the_mask(self, white, monkeypatch):
+        masks = []
+        monkeypatch.setattr(
+            photometry, "frankot_chellappa", lambda x, y, mask: masks.append(mask) or x
+        )
+        slopes = (np.ones(white.inside.shape),) * 2
+        height = photometry.integrated(slopes, white, HeightSettings(method="frankot_chellappa"))
+        np.testing.assert_array_equal(masks[0], white.inside)
+        assert (height == 1 / PX_PER_MM).all()
 
     def test_certainty_is_that_of_a_normals_noise(self, white, monkeypatch):
         weights = []

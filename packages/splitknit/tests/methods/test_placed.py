@@ -65,6 +65,26 @@ class TestBands:
         assert (nir.px_per_mm, nir.pitch_mm) == (PX_PER_MM, 1 / PX_PER_MM)
         np.testing.assert_array_equal(nir.inside, taken.finger.wider[taken.finger.window])
 
+    def test_findings_of_the_search_are_kept(self, photographs, monkeypatch):
+        finding = Finding("hollow", "a note.")
+        finger = replace(photographs.finger, findings=(finding,))
+        monkeypatch.setattr(module, "locate_finger", lambda capture, settings: (capture, finger))
+        assert prepared(photographs.capture, EA).findings == (finding,)
+
+    def test_flat_images_promise_the_light_of_their_rig(self, photographs, monkeypatch):
+        band = photographs.capture.bands["white"]
+        flat = replace(band, flat=np.ones_like(band.pixels))
+        capture = replace(with_nir(photographs), bands={"white": flat, "nir": band})
+        asked = []
+        monkeypatch.setattr(
+            module, "flat_promised", lambda rig, shape: asked.append((rig.leds, shape)) or "light"
+        )
+        lit = module._with_promised_light(capture)
+        assert lit.bands["white"].promised == "light"
+        assert lit.bands["nir"] is band
+        assert asked == [(capture.rig.select(band.lights).leds, band.pixels.shape)]
+        assert module._with_promised_light(photographs.capture) is photographs.capture
+
     def test_released_photographs_hold_no_images(self):
         photographs = dome()
         photographs.release()
@@ -83,6 +103,12 @@ class TestDiagnosed:
 
     def codes(self, photographs, settings):
         return [finding.code for finding in diagnosed(photographs, settings).findings]
+
+    def test_estimated_lights_stand_before_all(self, photographs, diagnosis, monkeypatch):
+        monkeypatch.setattr(module, "bas_relief_of", lambda rig: 0.3)
+        monkeypatch.setattr(module, "bas_relief_note", lambda unsure: f"a factor of {unsure}.")
+        diagnosis.append(Finding("hollow", "a note."))
+        assert self.codes(photographs, EA) == ["bas-relief", "hollow"]
 
     def test_the_worst_stands_first(self, photographs, diagnosis):
         diagnosis += [
@@ -193,14 +219,29 @@ class TestPlaced:
 
     def test_the_result_states_where_it_comes_from(self, photographs, surface):
         picture = np.ones(photographs.finger.mask.shape, dtype=np.float32)
-        result = placed(replace(photographs, specular=picture), surface, 0.0)
+        capture = replace(photographs.capture, hashes={"a.png": "0" * 64})
+        result = placed(replace(photographs, specular=picture, capture=capture), surface, 0.0)
         assert result.specular is picture
         assert result.whole == surface.whole
         assert (result.pitch_mm, result.scale_known) == (1 / PX_PER_MM, True)
         assert result.facts.items() >= {"material": "opaque", **surface.facts}.items()
         assert result.upright_size == photographs.finger.upright.size
-        assert result.hashes == photographs.capture.hashes
+        assert result.hashes == {"a.png": "0" * 64}
         assert (result.x_mm, result.y_mm) == (None, None)
+
+    def test_a_relief_along_rays_is_what_the_heights_differ_by(
+        self, photographs, surface, monkeypatch
+    ):
+        shape = photographs.finger.inside.shape
+        height, slow = np.full(shape, 3.0), np.full(shape, 2.0)
+        normals = np.broadcast_to((0.0, 0.0, 1.0), (*shape, 3))
+        monkeypatch.setattr(
+            module, "place", lambda *_: (height, slow, normals, np.full(shape, 5.0), 6 * height)
+        )
+        result = placed(photographs, surface, 0.0)
+        assert (result.ridge_mm[result.mask] == 1.0).all()
+        assert (result.x_mm[result.mask] == 5.0).all()
+        assert (result.y_mm[result.mask] == 18.0).all()
 
 
 class TestMirrorShape:

@@ -92,6 +92,8 @@ class TestWorking:
 
     def test_objects_keep_an_unknown_scale(self):
         assert with_working_scale(ridged()) == (ridged(), ())
+        odd = with_camera(ridged(), px_per_mm=0.05)
+        assert with_working_scale(odd) == (odd, ())
 
     @pytest.mark.parametrize(
         ("px_per_mm", "codes_expected"), [(10.0, []), (0.05, ["odd-view"]), (400.0, [])]

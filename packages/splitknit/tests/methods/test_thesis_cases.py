@@ -118,6 +118,12 @@ class TestThesisSurface:
         both = replace(photographs, bands=(bands[0].band, bands[1].band))
         assert thesis.thesis_surface(both, EA).facts["shape_source"] == "nir"
 
+    def test_its_facts_name_the_separation_of_its_material(self, monkeypatch):
+        monkeypatch.setattr(thesis, "_direct_images", lambda images, *_: images)
+        settings = override(PRESETS["pr"], {"direct.method": "network"})
+        facts = thesis.thesis_surface(dome(), settings).facts
+        assert facts["separation"] == "none (opaque material: all light is direct)"
+
     def test_a_finished_surface_is_smoothed_in_mm(self):
         photographs = dome()
         white = photographs.white_and_nir(0.0)[0]
@@ -192,6 +198,27 @@ class TestPreparedLight:
         assert rig is white.capture.rig
         assert band is white.band
         np.testing.assert_array_equal(mask, white.finger.mask[white.finger.window])
+
+    def test_direct_light_is_of_the_band_and_its_settings(self, bands, steps):
+        settings = self.photometry(method="network")
+        thesis.visible_normals(bands[0], settings)
+        assert steps[0][1] == (bands[0], settings.direct)
+
+    def test_prepared_light_has_normals_inside_the_mask(self, bands, steps, monkeypatch):
+        masks = []
+        monkeypatch.setattr(
+            thesis, "distant_normals", lambda images, lights, inside, p: masks.append(inside)
+        )
+        thesis.visible_normals(bands[0], self.photometry(balance=True))
+        np.testing.assert_array_equal(masks[0], bands[0].inside)
+
+    def test_grey_images_are_not_negative(self, bands):
+        white = bands[0]
+        ambient = np.full(white.band.pixels.shape[1:], 8000, dtype=np.uint16)
+        dark = replace(white, band=replace(white.band, ambient=ambient))
+        images = thesis._grey_images(dark)
+        assert images.min() == 0
+        assert 0 < images.max() < 1
 
     def test_lights_beside_equalised_images_have_one_length(self, bands):
         white = bands[0]
