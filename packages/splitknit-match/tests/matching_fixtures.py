@@ -23,7 +23,7 @@ POSES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Impression:
-    """A finger in one pose."""
+    """Impression of a finger in one pose."""
 
     finger: int
     pose: FingerPose
@@ -61,5 +61,5 @@ def impressions() -> list[Impression]:
 
 @pytest.fixture(scope="session")
 def templates(impressions: list[Impression]) -> list[Template]:
-    """Of each impression."""
+    """The template of each impression."""
     return [impression.template() for impression in impressions]

@@ -49,12 +49,12 @@ def test_a_gallery_begins_with_its_first_finger(
     facts = facts_of(capsys, "enroll", tmp_path / "g.skg", source, *arguments)
     assert facts["created"]
     assert (facts["captures"], facts["fingers"], facts["people"]) == (1, 1, 1)
-    (enrolled,) = facts["enrolled"]
-    assert enrolled["person"] == "Zo\u00eb Example"
-    assert enrolled["session"] == "1"
-    assert enrolled["new"]
-    assert enrolled["acquired"]
-    assert 100 < enrolled["area_mm2"] < 500
+    (capture,) = facts["enrolled"]
+    assert capture["person"] == "Zo\u00eb Example"
+    assert capture["session"] == "1"
+    assert capture["new"]
+    assert capture["acquired"]
+    assert 100 < capture["area_mm2"] < 500
     assert stat.S_IMODE((tmp_path / "g.skg").stat().st_mode) == 0o600
     listed = facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]
     assert listed[0]["enrolled_at"] is None
@@ -174,13 +174,13 @@ def test_a_population_goes_on_where_it_was_stopped(
     from splitknit_match.batch import enrol as enrolling_population
 
     file, calls = tmp_path / "g.skg", []
-    enrolled_or_failed = enrolling_population.made_or_failed
+    original = enrolling_population.made_or_failed
 
     def stopped(path, *options):
         calls.append(path)
         if len(calls) == 4:
             raise KeyboardInterrupt
-        return enrolled_or_failed(path, *options)
+        return original(path, *options)
 
     monkeypatch.setattr(enrolling_population, "made_or_failed", stopped)
     assert main(["enroll", str(file), "--population", str(people_folder)]) == 130
@@ -207,9 +207,9 @@ def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path
     sound = (folder / "S02/session_2/right_index/height.npz").read_bytes()
     (folder / "S02/session_2/right_index/height.npz").write_bytes(sound[:2000])
     assert main(["enroll", str(file), "--population", str(folder), "--json"]) == 2
-    output = capsys.readouterr()
-    assert "1 of 3 captures cannot be read, the others are enrolled" in output.err
-    facts = json.loads(output.out)
+    printed = capsys.readouterr()
+    assert "1 of 3 captures cannot be read, the others are enrolled" in printed.err
+    facts = json.loads(printed.out)
     assert (facts["new"], facts["failures"], len(facts["unreadable"])) == (2, 1, 1)
     assert facts["failures_to_acquire"][0]["path"].endswith("S02/session_1/right_index")
     (folder / "S02/session_2/right_index/height.npz").write_bytes(sound)
@@ -233,10 +233,10 @@ def test_a_capture_without_a_finger_is_a_failure_not_an_error(
         raise BadInput(f"{path}: no finger is seen.")
 
     monkeypatch.setattr(gallery, "read_side", refuses)
-    enrolment = gallery.made_or_failed(twin_folder, gallery.Enrolling(preset="ea"))
-    assert enrolment.template == b""
-    assert enrolment.failure == "no finger is seen."
-    assert enrolment.source_sha256 == gallery.source_hash(twin_folder)
+    capture = gallery.made_or_failed(twin_folder, gallery.Enrolling(preset="ea"))
+    assert capture.template == b""
+    assert capture.failure == "no finger is seen."
+    assert capture.source_sha256 == gallery.source_hash(twin_folder)
 
 
 def test_a_capture_is_its_files_without_the_truth(twin_folder: Path, tmp_path: Path) -> None:
@@ -257,7 +257,7 @@ def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path
     assert facts["new"] == 6
     for file in (whole, tmp_path / "g.skg"):
         facts_of(capsys, "gallery", "export", file, "--out", tmp_path / file.parent.name / "x")
-    first, second = (
+    serial, parallel = (
         {
             row["person"] + row["finger"] + row["session"]: (folder / row["template"]).read_bytes()
             for row in rows
@@ -265,7 +265,7 @@ def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path
         for folder in (tmp_path / whole.parent.name / "x", tmp_path / tmp_path.name / "x")
         for rows in [csv.DictReader(io.StringIO((folder / "gallery.csv").read_text()))]
     )
-    assert first == second
+    assert serial == parallel
 
 
 def test_a_gallery_that_others_can_read_gets_a_note(

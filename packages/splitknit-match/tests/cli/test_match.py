@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from enrolled import facts_of, refusal_of, words_of
 from perfect_results import write_impressions
-from splitknit.cli.main import main
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
 from splitknit_match.matching.results import FmrBasis, one_in
@@ -25,17 +24,10 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_impressions(tmp_path_factory.mktemp("match"), 0.15, 721, turned)
 
 
-def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
-    assert main(["match", *map(str, arguments), "--json"]) == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    return json.loads(printed.out)
-
-
 def test_one_finger_is_told_from_another(results: Path, capsys) -> None:
-    same = facts_of(capsys, results / "a", results / "again")
-    stranger = facts_of(capsys, results / "a", results / "other")
-    assert same["similarity"] > 0.7 > 0.5 > stranger["similarity"]  # noqa: PLR0133
+    same = facts_of(capsys, "match", results / "a", results / "again")
+    impostor = facts_of(capsys, "match", results / "a", results / "other")
+    assert same["similarity"] > 0.7 > 0.5 > impostor["similarity"]  # noqa: PLR0133
     assert same["compared"]
     assert same["overlap_mm2"] > 200
     assert abs(same["alignment"]["rotation_deg"]) < 3  # both were brought upright
@@ -43,11 +35,15 @@ def test_one_finger_is_told_from_another(results: Path, capsys) -> None:
 
 
 def test_templates_stand_for_results(results: Path, tmp_path: Path, capsys) -> None:
-    direct = facts_of(capsys, results / "a", results / "again", "--template", tmp_path / "a.skt")
+    direct = facts_of(
+        capsys, "match", results / "a", results / "again", "--template", tmp_path / "a.skt"
+    )
     assert direct["template"]["bytes"] == (tmp_path / "a.skt").stat().st_size < 20_000
-    stored = facts_of(capsys, tmp_path / "a.skt", results / "again")
+    stored = facts_of(capsys, "match", tmp_path / "a.skt", results / "again")
     assert stored["similarity"] == direct["similarity"]
-    alone = facts_of(capsys, results / "a" / "height.npz", "--template", tmp_path / "b.skt")
+    alone = facts_of(
+        capsys, "match", results / "a" / "height.npz", "--template", tmp_path / "b.skt"
+    )
     assert "similarity" not in alone
     assert (tmp_path / "a.skt").read_bytes() == (tmp_path / "b.skt").read_bytes()
 
@@ -55,48 +51,44 @@ def test_templates_stand_for_results(results: Path, tmp_path: Path, capsys) -> N
 @pytest.mark.slow
 def test_prints_match_their_surfaces(results: Path, capsys) -> None:
     """A print is mirrored and lies flat; a surface is neither."""
-    same = facts_of(capsys, results / "a", results / "again" / "print.png")
-    both = facts_of(capsys, results / "a" / "print.png", results / "again" / "print.png")
-    stranger = facts_of(capsys, results / "a", results / "other" / "print.png")
+    same = facts_of(capsys, "match", results / "a", results / "again" / "print.png")
+    both = facts_of(capsys, "match", results / "a" / "print.png", results / "again" / "print.png")
+    impostor = facts_of(capsys, "match", results / "a", results / "other" / "print.png")
     assert same["b"]["kind"] == "print"
-    assert same["similarity"] > stranger["similarity"] + 0.2
+    assert same["similarity"] > impostor["similarity"] + 0.2
     assert both["similarity"] > 0.6
 
 
 def test_the_thesis_method(results: Path, capsys) -> None:
     arguments = ("--method", "thesis", "--set", "thesis.gate=0.5")
-    same = facts_of(capsys, results / "a", results / "again", *arguments)
-    stranger = facts_of(capsys, results / "a", results / "other", *arguments)
-    assert same["similarity"] > stranger["similarity"]
+    same = facts_of(capsys, "match", results / "a", results / "again", *arguments)
+    impostor = facts_of(capsys, "match", results / "a", results / "other", *arguments)
+    assert same["similarity"] > impostor["similarity"]
     assert 0.5 < same["overlap"] < 1
     assert set(same["dissimilarity"]) == {"normals", "relief"}
     gated = facts_of(
-        capsys, results / "a", results / "other", "--method", "thesis", "--set", "thesis.gate=1"
+        capsys,
+        "match",
+        results / "a",
+        results / "other",
+        "--method",
+        "thesis",
+        "--set",
+        "thesis.gate=1",
     )
     assert not gated["compared"]
 
 
 @pytest.mark.slow
 def test_a_capture_is_reconstructed(twin_folder: Path, capsys) -> None:
-    facts = facts_of(capsys, twin_folder, twin_folder, "--preset", "ea")
-    assert facts["a"]["kind"] == "capture"
-    assert facts["similarity"] == pytest.approx(1.0, abs=1e-3)
+    report = facts_of(capsys, "match", twin_folder, twin_folder, "--preset", "ea")
+    assert report["a"]["kind"] == "capture"
+    assert report["similarity"] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_words_for_people(results: Path, tmp_path: Path, capsys) -> None:
-    assert (
-        main(
-            [
-                "match",
-                str(results / "a"),
-                str(results / "again"),
-                "--template",
-                str(tmp_path / "t.skt"),
-            ]
-        )
-        == 0
-    )
-    words = capsys.readouterr().out
+    same_pair, template = (results / "a", results / "again"), tmp_path / "t.skt"
+    words = words_of(capsys, "match", *same_pair, "--template", template)
     assert words.startswith("Match, decided at a false match rate of 1 in 10,000 (method ridge).")
     basis = "11,175 impostor comparisons, true surfaces of 150 simulated fingers"
     assert f"Estimated false match rate: below 1 in 11,000 (measured on {basis})." in words
@@ -104,40 +96,39 @@ def test_words_for_people(results: Path, tmp_path: Path, capsys) -> None:
     assert "overlap" in words
     assert "turned by" in words
     assert "version 1" in words
-    assert main(["match", str(results / "a"), str(results / "other"), "--method", "thesis"]) == 0
-    answer = capsys.readouterr().out
-    assert "intersection over union" in answer and answer.startswith("Undecided")
+    impostor_pair = results / "a", results / "other"
+    words = words_of(capsys, "match", *impostor_pair, "--method", "thesis")
+    assert "intersection over union" in words and words.startswith("Undecided")
 
 
 def test_the_decision_is_at_a_stated_rate(results: Path, capsys) -> None:
     """One scale for people, by every method; the method's own score where it is asked for."""
-    same, of_stranger = ([str(results / "a"), str(results / name)] for name in ("again", "other"))
-    genuine, stranger = facts_of(capsys, *same), facts_of(capsys, *of_stranger)
-    assert genuine["decision"]["match"] and not stranger["decision"]["match"]
-    assert genuine["decision"]["fmr"] == 1e-4 and stranger["fmr"] > 1e-3
-    assert stranger["similarity"] < genuine["decision"]["threshold"] < genuine["similarity"]
-    assert genuine["fmr_basis"]["impostors"] == 11175 and genuine["fmr_missing"] is None
-    assert facts_of(capsys, *of_stranger, "--fmr", "0.9")["decision"]["match"] == (
-        stranger["fmr"] <= 0.9
+    same_pair, impostor_pair = ((results / "a", results / name) for name in ("again", "other"))
+    same, impostor = (
+        facts_of(capsys, "match", *same_pair),
+        facts_of(capsys, "match", *impostor_pair),
     )
-    assert main(["match", *of_stranger, "--raw"]) == 0
-    words = capsys.readouterr().out
+    assert same["decision"]["match"] and not impostor["decision"]["match"]
+    assert same["decision"]["fmr"] == 1e-4 and impostor["fmr"] > 1e-3
+    assert impostor["similarity"] < same["decision"]["threshold"] < same["similarity"]
+    assert same["fmr_basis"]["impostors"] == 11175 and same["fmr_missing"] is None
+    assert facts_of(capsys, "match", *impostor_pair, "--fmr", "0.9")["decision"]["match"] == (
+        impostor["fmr"] <= 0.9
+    )
+    words = words_of(capsys, "match", *impostor_pair, "--raw")
     assert words.startswith("No match, decided at")
-    threshold = genuine["decision"]["threshold"]
+    threshold = same["decision"]["threshold"]
     assert (
-        f"Score {stranger['similarity']:.4f} (1 = the same picture), a match from"
+        f"Score {impostor['similarity']:.4f} (1 = the same picture), a match from"
         f" {threshold:.4f} on." in words
     )
-    assert main(["match", *same, "--fmr", "1e-9"]) == 2
-    assert "rates below 8.9e-07 cannot be estimated" in capsys.readouterr().err
-    smaller = facts_of(capsys, *same, "--fmr", "1e-5")["decision"]
-    assert smaller["threshold"] > threshold and "expected_fmr" not in genuine["decision"]
+    message = refusal_of(capsys, "match", *same_pair, "--fmr", "1e-9")
+    assert "rates below 8.9e-07 cannot be estimated" in message
+    smaller = facts_of(capsys, "match", *same_pair, "--fmr", "1e-5")["decision"]
+    assert smaller["threshold"] > threshold and "expected_fmr" not in same["decision"]
     assert 0 < smaller["expected_fmr"] < smaller["fmr"] == 1e-5
-    assert main(["match", *same, "--fmr", "1e-5"]) == 0
-    assert (
-        "1 in 100,000 (beyond what was measured: extrapolated; expected is 1 in 1,"
-        in capsys.readouterr().out
-    )
+    words = words_of(capsys, "match", *same_pair, "--fmr", "1e-5")
+    assert "1 in 100,000 (beyond what was measured: extrapolated; expected is 1 in 1," in words
 
 
 @pytest.mark.parametrize(
@@ -161,46 +152,49 @@ def test_folders_of_print_are_matched(results: Path, tmp_path: Path, capsys) -> 
     """By their pictures, and by the minutiae that ``print`` has counted."""
     counts = []
     for name in ("a", "again"):
-        assert main(["print", str(results / name), "--out", str(tmp_path / name), "--json"]) == 0
-        counts.append(json.loads(capsys.readouterr().out)["minutiae"]["count"])
-    facts = facts_of(capsys, tmp_path / "a", tmp_path / "again")
-    assert (facts["a"]["kind"], facts["b"]["kind"]) == ("print", "print")
-    assert facts["decision"]["match"]
+        facts = facts_of(capsys, "print", results / name, "--out", tmp_path / name)
+        counts.append(facts["minutiae"]["count"])
+    report = facts_of(capsys, "match", tmp_path / "a", tmp_path / "again")
+    assert (report["a"]["kind"], report["b"]["kind"]) == ("print", "print")
+    assert report["decision"]["match"]
     if importlib.util.find_spec("nbis"):
-        facts = facts_of(capsys, tmp_path / "a", tmp_path / "again", "--method", "minutiae")
-        assert [facts[side]["minutiae"] for side in ("a", "b")] == counts
-        record = facts_of(
-            capsys, tmp_path / "a" / "minutiae.iso", tmp_path / "again" / "minutiae.iso"
+        report = facts_of(
+            capsys, "match", tmp_path / "a", tmp_path / "again", "--method", "minutiae"
         )
-        assert (record["a"]["minutiae"], record["similarity"]) == (counts[0], facts["similarity"])
+        assert [report[side]["minutiae"] for side in ("a", "b")] == counts
+        record = facts_of(
+            capsys, "match", tmp_path / "a" / "minutiae.iso", tmp_path / "again" / "minutiae.iso"
+        )
+        assert (record["a"]["minutiae"], record["similarity"]) == (counts[0], report["similarity"])
         # a print from a file has as many minutiae as 'print' finds in it
-        picture = str(results / "a" / "print.png")
-        assert main(["print", picture, "--out", str(tmp_path / "file"), "--json"]) == 0
-        count = json.loads(capsys.readouterr().out)["minutiae"]["count"]
-        assert facts_of(capsys, picture, picture, "--method", "minutiae")["a"]["minutiae"] == count
+        picture = results / "a" / "print.png"
+        facts = facts_of(capsys, "print", picture, "--out", tmp_path / "file")
+        report = facts_of(capsys, "match", picture, picture, "--method", "minutiae")
+        assert report["a"]["minutiae"] == facts["minutiae"]["count"]
 
 
 @pytest.mark.parametrize("content", [b"", b"SKTMPL\r\n and then my notes"])
 def test_a_file_that_is_no_template_is_not_replaced(
     results: Path, tmp_path: Path, capsys, content: bytes
 ) -> None:
-    (tmp_path / "notes.txt").write_bytes(content)
-    assert main(["match", str(results / "a"), "--template", str(tmp_path / "notes.txt")]) == 2
-    assert "exists and is not a template" in capsys.readouterr().err
-    assert (tmp_path / "notes.txt").read_bytes() == content
+    notes = tmp_path / "notes.txt"
+    notes.write_bytes(content)
+    message = refusal_of(capsys, "match", results / "a", "--template", notes)
+    assert "exists and is not a template" in message
+    assert notes.read_bytes() == content
     (tmp_path / "failed.skt").touch()  # a failure to acquire
     for _ in range(2):
-        facts_of(capsys, results / "a", "--template", tmp_path / "failed.skt")
+        facts_of(capsys, "match", results / "a", "--template", tmp_path / "failed.skt")
 
 
 def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys) -> None:
     (tmp_path / "none.skt").write_bytes(b"")
-    facts = facts_of(capsys, tmp_path / "none.skt", results / "a")
-    assert facts["similarity"] == -1.0
-    assert not facts["compared"]
-    assert not facts["a"]["acquired"]
-    assert main(["match", str(tmp_path / "none.skt"), str(results / "a")]) == 0
-    assert "failure to acquire" in capsys.readouterr().out
+    report = facts_of(capsys, "match", tmp_path / "none.skt", results / "a")
+    assert report["similarity"] == -1.0
+    assert not report["compared"]
+    assert not report["a"]["acquired"]
+    words = words_of(capsys, "match", tmp_path / "none.skt", results / "a")
+    assert "failure to acquire" in words
 
 
 @pytest.mark.parametrize(
@@ -241,28 +235,15 @@ def test_bad_input_is_one_sentence(
         )
         for word in arguments
     ]
-    assert main(["match", *full]) == 2
-    refusal = capsys.readouterr().err
-    assert words in refusal
-    assert len(refusal.strip().splitlines()) == 1
+    assert words in refusal_of(capsys, "match", *full)
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
 def test_an_input_is_never_overwritten(results: Path, tmp_path: Path, capsys) -> None:
-    assert main(["match", str(results / "a"), "--template", str(tmp_path / "t.skt")]) == 0
-    assert (
-        main(
-            [
-                "match",
-                str(tmp_path / "t.skt"),
-                str(results / "a"),
-                "--template",
-                str(tmp_path / "t.skt"),
-            ]
-        )
-        == 2
-    )
-    assert "one of the inputs" in capsys.readouterr().err
+    template = tmp_path / "t.skt"
+    facts_of(capsys, "match", results / "a", "--template", template)
+    message = refusal_of(capsys, "match", template, results / "a", "--template", template)
+    assert "one of the inputs" in message
 
 
 def test_false_match_rates_are_of_the_shipped_table(results: Path, capsys) -> None:
@@ -272,5 +253,5 @@ def test_false_match_rates_are_of_the_shipped_table(results: Path, capsys) -> No
     assert low is not None
     assert high is not None
     assert 0 < high < 1e-3 < 0.3 < low <= 1  # noqa: PLR0133
-    same = facts_of(capsys, results / "a", results / "again")
+    same = facts_of(capsys, "match", results / "a", results / "again")
     assert same["fmr"] == rate(same["similarity"], "ridge", None).fmr

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
+from enrolled import facts_of, refusal_of, words_of
 from perfect_results import write_perfect
-from splitknit.cli.main import main
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import upright_turn
 from splitknit.io.prints import read_print_png
@@ -37,22 +37,6 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_perfect(tmp_path_factory.mktemp("print") / "result", seen, camera, more=more)
 
 
-def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
-    assert main(["print", *map(str, arguments), "--json"]) == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    return json.loads(printed.out)
-
-
-def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert main(["print", *map(str, arguments)]) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    lines = printed.err.strip().splitlines()
-    assert len(lines) == 1
-    return lines[0]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "surface"), [("relief", "plane"), ("unroll", "free"), ("curvature", "plane")]
@@ -61,7 +45,7 @@ def test_all_files_are_written(
     result: Path, tmp_path: Path, capsys, method: str, surface: str
 ) -> None:
     out = tmp_path / "out"
-    facts = facts_of(capsys, result, "--method", method, "--out", out)
+    facts = facts_of(capsys, "print", result, "--method", method, "--out", out)
     wanted = {"print.png", "enhanced.png", "map.npz", "report.html", "report.json", "minutiae.iso"}
     assert set(facts["files"]) == wanted == {path.name for path in out.iterdir()} - {".splitknit"}
     assert facts["surface"] == surface
@@ -83,14 +67,14 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
     from splitknit_match.prints.sources import read_source
 
     out = tmp_path / "out"
-    facts = facts_of(capsys, result, "--out", out)
+    facts = facts_of(capsys, "print", result, "--out", out)
     view = read_minutiae_record(out / "minutiae.iso")[0]
     assert set(view.type.tolist()) == {1, 2}
     assert view.size == tuple(facts["size"])
     extracted = np.stack([view.x_px, view.y_px], axis=1).astype(float)
-    finger_print = make_print(read_source(result, photo=False, surface=True), "unroll")
-    true = finger_print.map.print_from_input(read_npz(result / "height.npz")["minutiae_px"])
-    inside = cv2.erode((finger_print.weight > 0.5).astype(np.uint8), np.ones((41, 41))) > 0
+    flat_print = make_print(read_source(result, photo=False, surface=True), "unroll")
+    true = flat_print.map.print_from_input(read_npz(result / "height.npz")["minutiae_px"])
+    inside = cv2.erode((flat_print.weight > 0.5).astype(np.uint8), np.ones((41, 41))) > 0
     true, extracted = (
         points[[bool(np.isfinite(p).all() and inside[round(p[1]), round(p[0])]) for p in points]]
         for points in (true, extracted)
@@ -98,7 +82,7 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
     assert len(true) > 30
     assert (cKDTree(extracted).query(true)[0] < 5).mean() > 0.7
     assert (cKDTree(true).query(extracted)[0] < 5).mean() > 0.7
-    mirrored = [finger_print.image.shape[1] - 1, 0] + true * [-1, 1]
+    mirrored = [flat_print.image.shape[1] - 1, 0] + true * [-1, 1]
     assert (cKDTree(extracted).query(mirrored)[0] < 5).mean() < 0.4
 
 
@@ -107,26 +91,28 @@ def test_the_page_has_the_minutiae_on_the_surface(result: Path, tmp_path: Path, 
     minutiae."""
     from scipy.spatial import cKDTree
 
-    facts_of(capsys, result, "--out", tmp_path / "out")
+    facts_of(capsys, "print", result, "--out", tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     (surface,) = json.loads(re.search(r'id="surfaces">(.*?)</script>', page, re.DOTALL)[1])
     places = np.array(surface["minutiae"])[:, :2]
-    surface = read_result(result)
+    source = read_result(result)
     columns, rows = read_npz(result / "height.npz")["minutiae_px"].T
     at = np.rint(rows).astype(int), np.rint(columns).astype(int)
-    known = surface.mask[at]
-    turn = upright_turn(surface.input_from_upright)
-    height, width = surface.mask.shape
-    x = (columns - (width - 1) / 2) * surface.pitch_mm if surface.x_mm is None else surface.x_mm[at]
-    y = ((height - 1) / 2 - rows) * surface.pitch_mm if surface.y_mm is None else surface.y_mm[at]
+    known = source.mask[at]
+    turn = upright_turn(source.input_from_upright)
+    height, width = source.mask.shape
+    x = (columns - (width - 1) / 2) * source.pitch_mm if source.x_mm is None else source.x_mm[at]
+    y = ((height - 1) / 2 - rows) * source.pitch_mm if source.y_mm is None else source.y_mm[at]
     true = (turn @ np.stack([x, y])).T[known]
     assert (cKDTree(true).query(places)[0] < 0.3).mean() > 0.6
 
 
 @pytest.mark.slow
 def test_resolution_surface_and_settings(result: Path, tmp_path: Path, capsys) -> None:
-    coarse = facts_of(capsys, result, "--method", "relief", "--out", tmp_path / "a")
-    fine = facts_of(capsys, result, "--method", "relief", "--ppi", 1000, "--out", tmp_path / "b")
+    coarse = facts_of(capsys, "print", result, "--method", "relief", "--out", tmp_path / "a")
+    fine = facts_of(
+        capsys, "print", result, "--method", "relief", "--ppi", 1000, "--out", tmp_path / "b"
+    )
     assert read_print_png(tmp_path / "b" / "print.png").resolution_ppi == pytest.approx(
         1000, abs=0.02
     )
@@ -135,7 +121,15 @@ def test_resolution_surface_and_settings(result: Path, tmp_path: Path, capsys) -
         coarse["ridge_period_mm"]["median"], rel=0.02
     )
     wide = facts_of(
-        capsys, result, "--method", "curvature", "--surface", "arc", "--out", tmp_path / "d"
+        capsys,
+        "print",
+        result,
+        "--method",
+        "curvature",
+        "--surface",
+        "arc",
+        "--out",
+        tmp_path / "d",
     )
     assert wide["size"][1] > coarse["size"][1]
     assert "distortion" in wide
@@ -144,7 +138,7 @@ def test_resolution_surface_and_settings(result: Path, tmp_path: Path, capsys) -
 @pytest.mark.slow
 def test_same_input_same_bytes(result: Path, tmp_path: Path, capsys) -> None:
     for name in ("a", "b"):
-        facts_of(capsys, result, "--out", tmp_path / name)
+        facts_of(capsys, "print", result, "--out", tmp_path / name)
     for path in (tmp_path / "a").iterdir():
         if path.name != "report.json":
             assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
@@ -177,7 +171,7 @@ def test_the_threads_of_blas_change_nothing(result: Path, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_the_photograph(twin_folder: Path, tmp_path: Path, capsys) -> None:
-    facts = facts_of(capsys, twin_folder, "--method", "photo", "--out", tmp_path / "photo")
+    facts = facts_of(capsys, "print", twin_folder, "--method", "photo", "--out", tmp_path / "photo")
     assert facts["source"]["kind"] == "capture"
     assert facts["surface"] == "plane"
     assert facts["ridge_area_mm2"] > 150
@@ -191,25 +185,23 @@ def test_the_photograph_shows_the_ridges(twin_folder: Path) -> None:
     from splitknit_match.prints.sources import read_source
 
     source = read_source(twin_folder, photo=True, surface=False)
-    from_photo = make_print(source, "photo")
+    photo = make_print(source, "photo")
     truth = np.load(twin_folder / "truth.npz")
     relief = (truth["height_mm"] - truth["shape_mm"]).astype(np.float32)
     known = source.mask & np.isfinite(relief)
-    true = ink(
-        *resample(np.where(known, relief, np.float32(0)), known, source.pitch_mm, from_photo.map)
-    )
+    true = ink(*resample(np.where(known, relief, np.float32(0)), known, source.pitch_mm, photo.map))
     middle = tuple(slice(n // 2 - 90, n // 2 + 90) for n in true.shape)
-    assert np.corrcoef(from_photo.image[middle].ravel(), true[middle].ravel())[0, 1] > 0.3
+    assert np.corrcoef(photo.image[middle].ravel(), true[middle].ravel())[0, 1] > 0.3
 
 
 def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "out"
-    assert "there is no" in refusal(capsys, tmp_path / "nothing", "--out", out)
+    assert "there is no" in refusal_of(capsys, "print", tmp_path / "nothing", "--out", out)
     (tmp_path / "empty").mkdir()
-    assert "neither a capture" in refusal(capsys, tmp_path / "empty", "--out", out)
-    assert "no photograph" in refusal(capsys, result, "--method", "photo", "--out", out)
-    assert "--method relief" in refusal(
-        capsys, result, "--method", "unroll", "--surface", "plane", "--out", out
+    assert "neither a capture" in refusal_of(capsys, "print", tmp_path / "empty", "--out", out)
+    assert "no photograph" in refusal_of(capsys, "print", result, "--method", "photo", "--out", out)
+    assert "--method relief" in refusal_of(
+        capsys, "print", result, "--method", "unroll", "--surface", "plane", "--out", out
     )
     arrays = read_npz(result / "height.npz")
 
@@ -219,27 +211,29 @@ def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Pa
         write_npz(folder / "height.npz", {**arrays, **others})
         return folder
 
-    assert "no scale" in refusal(capsys, changed("scale", pitch_mm=np.float64(0.0)), "--out", out)
+    assert "no scale" in refusal_of(
+        capsys, "print", changed("scale", pitch_mm=np.float64(0.0)), "--out", out
+    )
     without = {name: value for name, value in arrays.items() if name != "pitch_mm"}
     (tmp_path / "without").mkdir()
     write_npz(tmp_path / "without" / "height.npz", without)
-    assert "no scale" in refusal(capsys, tmp_path / "without", "--out", out)
+    assert "no scale" in refusal_of(capsys, "print", tmp_path / "without", "--out", out)
     flat = changed("flat", ridge_mm=np.zeros_like(arrays["ridge_mm"]))
     for method in ("relief", "unroll"):
-        assert "no ridges" in refusal(capsys, flat, "--method", method, "--out", out)
-    assert "another shape" in refusal(
-        capsys, changed("shape", ridge_mm=np.zeros((3, 3), np.float32)), "--out", out
+        assert "no ridges" in refusal_of(capsys, "print", flat, "--method", method, "--out", out)
+    assert "another shape" in refusal_of(
+        capsys, "print", changed("shape", ridge_mm=np.zeros((3, 3), np.float32)), "--out", out
     )
-    assert "mask is empty" in refusal(
-        capsys, changed("mask", mask=np.zeros_like(arrays["mask"])), "--out", out
+    assert "mask is empty" in refusal_of(
+        capsys, "print", changed("mask", mask=np.zeros_like(arrays["mask"])), "--out", out
     )
     (tmp_path / "scale" / "height.npz").write_bytes(b"PK nonsense")
-    refusal(capsys, tmp_path / "scale", "--out", out)
+    refusal_of(capsys, "print", tmp_path / "scale", "--out", out)
     assert not out.exists()
 
 
 def test_an_earlier_result_is_not_overwritten(result: Path, capsys) -> None:
-    assert "name another folder" in refusal(capsys, result, "--out", result)
+    assert "name another folder" in refusal_of(capsys, "print", result, "--out", result)
     assert (result / "height.npz").is_file()
 
 
@@ -252,20 +246,19 @@ def test_ridges_do_not_doubt_a_calibrated_camera(result: Path, tmp_path: Path, c
     arrays = read_npz(result / "height.npz")
     write_npz(fine / "height.npz", {**arrays, "pitch_mm": np.float64(0.6) * arrays["pitch_mm"]})
     finger = ("--person", "Ann", "--finger", "left_index")
-    facts_of(capsys, fine, "--method", "relief", "--out", tmp_path / "relief")
-    assert main(["enroll", str(tmp_path / "people.skg"), str(tmp_path / "relief"), *finger]) == 0
+    facts_of(capsys, "print", fine, "--method", "relief", "--out", tmp_path / "relief")
+    facts_of(capsys, "enroll", tmp_path / "people.skg", tmp_path / "relief", *finger)
     assert match(tmp_path / "relief", tmp_path / "relief").answer == "match"
-    capsys.readouterr()
-    facts_of(capsys, tmp_path / "relief" / "print.png", "--out", tmp_path / "file")
+    facts_of(capsys, "print", tmp_path / "relief" / "print.png", "--out", tmp_path / "file")
     for doubted in (tmp_path / "file", tmp_path / "relief" / "print.png"):
-        assert main(["enroll", str(tmp_path / "none.skg"), str(doubted), *finger]) == 2
-        assert "check the resolution" in capsys.readouterr().err
+        message = refusal_of(capsys, "enroll", tmp_path / "none.skg", doubted, *finger)
+        assert "check the resolution" in message
 
 
 @pytest.mark.slow
 def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> None:
     """A good finger is called good; a shallow one scores less, and a sentence says what to do."""
-    printed = facts_of(capsys, result, "--out", tmp_path / "good")
+    printed = facts_of(capsys, "print", result, "--out", tmp_path / "good")
     good = printed["quality"]
     assert good["ours"] > 70
     assert "weak-ridges" not in [finding["code"] for finding in printed["findings"]]
@@ -274,8 +267,8 @@ def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> N
     shallow = tmp_path / "shallow_result"
     shallow.mkdir()
     write_npz(shallow / "height.npz", {**arrays, "ridge_mm": np.float32(0.3) * arrays["ridge_mm"]})
-    assert main(["print", str(shallow), "--out", str(tmp_path / "shallow"), "--ppi", "1000"]) == 0
-    words = capsys.readouterr().out.splitlines()
+    command = "print", shallow, "--out", tmp_path / "shallow", "--ppi", 1000
+    words = words_of(capsys, *command).splitlines()
     facts = json.loads((tmp_path / "shallow" / "report.json").read_text())
     weak = facts["quality"]
     assert weak["ours"] < good["ours"] - 5
@@ -290,7 +283,7 @@ def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> N
     record = read_minutiae_record(tmp_path / "shallow" / "minutiae.iso")
     assert record[0].finger_quality == round(weak["ours"])
     (shallow / "report.json").write_text('{"facts": {"material": "opaque"}}')
-    cast = facts_of(capsys, shallow, "--out", tmp_path / "cast", "--ppi", "1000")
+    cast = facts_of(capsys, "print", shallow, "--out", tmp_path / "cast", "--ppi", "1000")
     assert (cast["quality"]["figures"], cast["findings"]) == (weak["figures"], [])
 
 
@@ -302,11 +295,11 @@ def test_advice_is_chosen_by_the_worst_figure() -> None:
 
     good = QualityFigures(0.9, 50.0, 0.97, 0.97, 0.5, 0.11, 400.0, 450.0, 24.0, 0.05, 0.3)
 
-    def findings_of(**changes: float) -> tuple[str, ...]:
+    def advice_on(**changes: float) -> tuple[str, ...]:
         figures = replace(good, **changes)
         return tuple(map(str, advice(PrintQuality(*score_of(figures), figures))))
 
-    assert findings_of() == ()
+    assert advice_on() == ()
     wanted = {
         "moisten": {"ridge_height_um": 15.0},
         "clean finger and lens": {"ridge_share": 0.4},
@@ -318,10 +311,10 @@ def test_advice_is_chosen_by_the_worst_figure() -> None:
         "turn its pad": {"centre_offset_mm": 6.0},
     }
     for words, changes in wanted.items():
-        assert len(findings_of(**changes)) == 1
-        assert words in findings_of(**changes)[0], words
-    assert findings_of(sharpness=0.04) == ()  # high ridges: the finger's own
-    many = findings_of(
+        assert len(advice_on(**changes)) == 1
+        assert words in advice_on(**changes)[0], words
+    assert advice_on(sharpness=0.04) == ()  # high ridges: the finger's own
+    many = advice_on(
         ridge_length_mm=7.0,
         ridge_area_mm2=40.0,
         ridge_height_um=10.0,

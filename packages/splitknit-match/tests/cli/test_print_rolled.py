@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,21 +9,12 @@ import numpy as np
 import pytest
 
 import rolled_scene as scene
-from splitknit.cli.main import main
+from enrolled import facts_of, refusal_of
 from splitknit.findings import Finding
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture
 from splitknit_match.prints.verbs import _print_lines
 from written_files import read_ply
-
-
-def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert main(["print", *map(str, arguments)]) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    lines = printed.err.strip().splitlines()
-    assert len(lines) == 1
-    return lines[0]
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +31,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     monkeypatch.setattr("splitknit_match.prints.rolled.find_mirror_views", lambda *_: views)
     monkeypatch.setattr("splitknit_match.rolled.finger.PITCH_MM", 0.07)  # quicker
     out = tmp_path / "out"
-    arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(out), "--json"]
-    assert main(["print", *arguments]) == 0
-    facts = json.loads(capsys.readouterr().out)
+    facts = facts_of(capsys, "print", tmp_path / "capture", "--method", "rolled", "--out", out)
     assert facts["surface"] == "free"
     assert {"print.png", "rolled.ply", "report.json"} <= set(facts["files"])
     rolled = facts["rolled"]
@@ -69,7 +57,7 @@ def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> 
     bare = replace(capture, rig=replace(capture.rig, mirrors=()))
     write_capture(bare, tmp_path / "bare")
     out = tmp_path / "out"
-    message = refusal(capsys, tmp_path / "bare", "--method", "rolled", "--out", out)
+    message = refusal_of(capsys, "print", tmp_path / "bare", "--method", "rolled", "--out", out)
     assert "no mirrors beside the finger" in message
     assert not out.exists()
 
@@ -77,10 +65,18 @@ def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> 
 def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(
     tmp_path: Path, capsys
 ) -> None:
-    message = refusal(capsys, tmp_path, "--method", "rolled", "--out", tmp_path / "out")
+    message = refusal_of(capsys, "print", tmp_path, "--method", "rolled", "--out", tmp_path / "out")
     assert "not a capture folder" in message
-    message = refusal(
-        capsys, tmp_path, "--method", "rolled", "--surface", "plane", "--out", tmp_path / "out"
+    message = refusal_of(
+        capsys,
+        "print",
+        tmp_path,
+        "--method",
+        "rolled",
+        "--surface",
+        "plane",
+        "--out",
+        tmp_path / "out",
     )
     assert "cannot be printed on the plane" in message
     assert not (tmp_path / "out").exists()
@@ -88,29 +84,10 @@ def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(
 
 @pytest.mark.slow
 def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) -> None:
-    command = [
-        "simulate",
-        "--out",
-        str(tmp_path / "capture"),
-        "--seed",
-        "105",
-        "--scale",
-        "0.6",
-        "--no-nir",
-    ]
-    assert (
-        main([*command, "--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]", "--json"]) == 0
-    )
-    capsys.readouterr()
-    arguments = [
-        str(tmp_path / "capture"),
-        "--method",
-        "rolled",
-        "--out",
-        str(tmp_path / "out"),
-        "--json",
-    ]
-    assert main(["print", *arguments]) == 0
-    rolled = json.loads(capsys.readouterr().out)["rolled"]
+    capture, out = tmp_path / "capture", tmp_path / "out"
+    finger = ("--seed", 105, "--scale", 0.6, "--no-nir")
+    mirrors = ("--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]")
+    facts_of(capsys, "simulate", "--out", capture, *finger, *mirrors)
+    rolled = facts_of(capsys, "print", capture, "--method", "rolled", "--out", out)["rolled"]
     assert rolled["coverage_deg"]["median"] > 160
     assert set(rolled["views"]) == {"front", "left", "right"}

@@ -130,9 +130,9 @@ def test_a_killed_run_goes_on_with_other_workers_to_the_same_bytes(
     while list_of_processes(out) and time.monotonic() < until:
         time.sleep(0.05)
     assert not list_of_processes(out)
-    written = sorted(path.parent for path in out.glob("S*/session_*/[!.]*/capture.json"))
-    assert 1 <= len(written) < 8, "the run was to be killed half-way"
-    for folder in written:
+    captures = sorted(path.parent for path in out.glob("S*/session_*/[!.]*/capture.json"))
+    assert 1 <= len(captures) < 8, "the run was to be killed half-way"
+    for folder in captures:
         assert digests(folder) == digests(population / folder.relative_to(out))
     (out / "S01" / "session_1").mkdir(parents=True, exist_ok=True)
     left = out / "S01" / "session_1" / ".splitknit-0123456789ab.tmp"  # what a killed worker leaves
@@ -142,7 +142,7 @@ def test_a_killed_run_goes_on_with_other_workers_to_the_same_bytes(
     )
     mine = left.with_name(".left_thumb.0123456789ab.tmp")  # and what it does not
     mine.mkdir()
-    stamps = {folder: (folder / "capture.json").stat().st_mtime_ns for folder in written}
+    stamps = {folder: (folder / "capture.json").stat().st_mtime_ns for folder in captures}
     assert main(words(out, "--workers", "1")) == 0
     assert digests(out) == digests(population)
     assert list(out.rglob("*.tmp")) == [mine]
@@ -247,10 +247,10 @@ def test_settings_change_the_hash_and_threads_do_not() -> None:
 
 
 def test_what_cannot_be_a_population_is_refused(tmp_path: Path, capsys: Captured) -> None:
-    folder = tmp_path / "other"
-    open_enrolment(folder, subjects=1, sessions=1)
-    (folder / "S01" / "session_1" / "right_index").mkdir(parents=True)
-    assert "something else than a simulated population" in refused(capsys, *words(folder))
+    enrolment = tmp_path / "other"
+    open_enrolment(enrolment, subjects=1, sessions=1)
+    (enrolment / "S01" / "session_1" / "right_index").mkdir(parents=True)
+    assert "something else than a simulated population" in refused(capsys, *words(enrolment))
     new = tmp_path / "new"
     assert "Expected right_thumb or right_index" in refused(
         capsys, *words(new, small=("--fingers", "toe"))
@@ -401,10 +401,10 @@ def test_prints_are_dealt_evenly_and_one_finger_is_one_identity(tmp_path: Path) 
     )
     dealt = choose_prints(tmp_path, 3, subjects, fingers).of_finger
     assert [
-        sum(print_file.mirrored is mirrored for print_file in dealt.values())
+        sum(real_print.mirrored is mirrored for real_print in dealt.values())
         for mirrored in (False, True)
     ] == [3, 1]
-    assert {print_file.file for print_file in dealt.values() if not print_file.mirrored} == {
+    assert {real_print.file for real_print in dealt.values() if not real_print.mirrored} == {
         "a_1.png",
         "b_c_3.png",
         "d.png",
