@@ -41,7 +41,7 @@ def press(seed: int, noise: float) -> NDArray[np.uint8]:
     return np.clip(np.roll(image, int(noise), 1) + drawn, 0, 255).astype(np.uint8)
 
 
-def other(template: Template, rng: np.random.Generator) -> bytes:
+def impostor(template: Template, rng: np.random.Generator) -> bytes:
     """Another finger's template, as far as an index of minutiae sees."""
     minutiae = template.minutiae
     assert minutiae is not None
@@ -68,13 +68,19 @@ def main() -> None:
     cv2.setNumThreads(1)
     print(f"Galleries, {machine()}")
     pictures = [press(1, 0.0), press(1, 9.0), press(2, 0.0)]
-    made = [splitknit_match.make_template(each, resolution_ppi=PPI).payload for each in pictures]
+    templates = [
+        splitknit_match.make_template(each, resolution_ppi=PPI).payload for each in pictures
+    ]
     contenders = {
         "a template of a print": lambda: splitknit_match.make_template(
             pictures[0], resolution_ppi=PPI
         ),
-        "match of two templates, one finger": lambda: splitknit_match.match(made[0], made[1]),
-        "match of two templates, two fingers": lambda: splitknit_match.match(made[0], made[2]),
+        "match of two templates, one finger": lambda: splitknit_match.match(
+            templates[0], templates[1]
+        ),
+        "match of two templates, two fingers": lambda: splitknit_match.match(
+            templates[0], templates[2]
+        ),
     }
     print_table("One to one", race(contenders, options.rounds))
 
@@ -87,20 +93,20 @@ def main() -> None:
         entries = (
             NewCapture(
                 Entry(f"P{k}", "right_index", "1", "template", f"{k:064x}", area_mm2),
-                other(masters[k % MASTERS], rng),
+                impostor(masters[k % MASTERS], rng),
             )
             for k in range(options.captures)
         )
         gallery.add(entries, TEMPLATES_HASH)
-        rows = [("first search", *seconds(lambda: gallery.identify(made[1])))]
+        rows = [("first search", *seconds(lambda: gallery.identify(templates[1])))]
         later = np.array(
-            [seconds(lambda: gallery.identify(made[1])) for _ in range(options.rounds)]
+            [seconds(lambda: gallery.identify(templates[1])) for _ in range(options.rounds)]
         )
         rows.append(("later search", *np.median(later, axis=0).tolist()))
         rows.append(
             (
                 "enrolment, gallery open",
-                *seconds(lambda: gallery.enroll(made[0], "A", "left_index")),
+                *seconds(lambda: gallery.enroll(templates[0], "A", "left_index")),
             )
         )
         gallery.close()
@@ -108,7 +114,7 @@ def main() -> None:
         rows.append(
             (
                 "enrolment, gallery opened for it",
-                *seconds(lambda: splitknit_match.enroll(path, made[2], "B", "left_index")),
+                *seconds(lambda: splitknit_match.enroll(path, templates[2], "B", "left_index")),
             )
         )
         print(f"\n{options.captures} captures, {path.stat().st_size / 1e6:.0f} MB on disk,"

@@ -41,13 +41,13 @@ def enrol(
     session: Session, candidates: splitknit_match.Candidates, name: str, print_: np.ndarray
 ) -> None:
     """Keep a customer's template as a row, and search it from now on."""
-    made = splitknit_match.make_template(print_, resolution_ppi=PPI)
-    if not made.a.acquired:
+    template = splitknit_match.make_template(print_, resolution_ppi=PPI)
+    if not template.a.acquired:
         raise BadInput("no ridges: capture the finger again.")
-    customer = Customer(name=name, template=made.payload)
+    customer = Customer(name=name, template=template.payload)
     session.add(customer)
     session.commit()
-    candidates.add({str(customer.id): made.payload})
+    candidates.add({str(customer.id): template.payload})
 
 
 def whose(

@@ -110,10 +110,10 @@ def criterion_cells(row: Mapping[str, str]) -> tuple[str, str, str]:
         words, measured, page = row["short"], measured[:1], ""
     else:
         page = row["page"]
-    shown = "; ".join(filter(None, (*measured, at_01)))
+    figures = "; ".join(filter(None, (*measured, at_01)))
     verdict_shown = "undecided" if row["verdict"] == UNDECIDED else row["verdict"]
     qualified = f"{verdict_shown}, {row['qualifier']}" if row["qualifier"] else verdict_shown
-    return f"{row['number']} {words}", ", ".join(filter(None, (joined(shown), page))), qualified
+    return f"{row['number']} {words}", ", ".join(filter(None, (joined(figures), page))), qualified
 
 
 def figure(rows: Sequence[Mapping[str, str]]) -> str:

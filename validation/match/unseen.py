@@ -23,7 +23,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from fvc import KNOWN, REAL, Job, made, prints
+from fvc import KNOWN, REAL, Job, features_of, prints
 from impostors import FOLDER
 from numpy.typing import NDArray
 from windows import table_of
@@ -44,7 +44,7 @@ def pairs_of_set(name: str, job: Job) -> NDArray[np.float64]:
     """(N, 4) of a set: both fingers, whether they are one, and the similarity (NaN: a failure)."""
     cv2.setNumThreads(1)
     images, owner, _ = prints(name, job)
-    sides = [Prepared(made(image, "template", job)) for image in images]
+    sides = [Prepared(features_of(image, "template", job)) for image in images]
     fingers = sorted(set(owner))
     rows = []
     for i, j in itertools.combinations(range(len(sides)), 2):
@@ -109,8 +109,8 @@ def main() -> None:
     options = parser.parse_args()
     job = Job(options.cache)
     with multiprocessing.get_context("spawn").Pool(2) as pool:
-        found = pool.starmap(pairs_of_set, [(name, job) for name in SETS], chunksize=1)
-    sets = dict(zip(SETS, found, strict=True))
+        by_set = pool.starmap(pairs_of_set, [(name, job) for name in SETS], chunksize=1)
+    sets = dict(zip(SETS, by_set, strict=True))
     impostor = {
         name: rows[(rows[:, 2] == 0) & np.isfinite(rows[:, 3]), 3] for name, rows in sets.items()
     }
@@ -121,7 +121,7 @@ def main() -> None:
         table["by"] = "validation/match/unseen.py"
         (FOLDER / REAL_PRINTS).write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
     left_out = {
-        name: threshold_of(np.concatenate([impostor[other] for other in SETS if other != name]))
+        name: threshold_of(np.concatenate([impostor[each] for each in SETS if each != name]))
         for name in SETS
     }
     shipped = dict.fromkeys(SETS, similarity_at(STATED, "fusion"))

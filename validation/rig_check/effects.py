@@ -127,8 +127,8 @@ def defects(rig: Twin, times: int) -> Iterator[tuple[str, str, Twin]]:
     dim = replace(rig, finger=dimmed(rig.finger, size))
     yield "brightness by light", f"one LED {size:g} %", dim
     deg = 1.74 * times  # 10 deg change the light by 5.8 % (tables/answers.csv)
-    aside = with_led(rig, lambda led: tilted(led, deg))
-    yield "light across the card", f"{times} %, one LED tilted", aside
+    tilted_rig = with_led(rig, lambda led: tilted(led, deg))
+    yield "light across the card", f"{times} %, one LED tilted", tilted_rig
     flat = replace(rig, finger=tilting(rig, times))
     yield "flatness of the card", f"{times} deg", flat
     yield "light leaks", f"{times} %", replace(rig, finger=leaking(rig.finger, times))
