@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from splitknit import Band, Capture, Led, Rig
 from splitknit.model import FloatArray, PixelArray
 from splitknit_rig.acceptance.parameters import SERIES_FRACTIONS
-from splitknit_rig.acceptance.phantom import phantom
 from splitknit_rig.calibration.card_model import CardPlane
+from splitknit_rig.calibration.phantom import phantom
 from splitknit_rig.calibration.radiometry import fit_radiometry
 from splitknit_rig.calibration.radiometry_folder import patches
 from splitknit_simulator import simulate_capture

@@ -51,7 +51,7 @@ def _twin(
     from functools import partial
 
     from splitknit.registry import DEVICES, SIMULATOR, extension
-    from splitknit_rig.acceptance.phantom import PITCH_MM, phantom
+    from splitknit_rig.calibration.phantom import PITCH_MM, phantom
 
     relief = (phantom()[0].height_mm, PITCH_MM) if target == "phantom" else None
     twin = extension(DEVICES, "twin", "the rig's twin", SIMULATOR)(changes, rig, scale)
