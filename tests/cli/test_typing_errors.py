@@ -20,7 +20,7 @@ def test_every_verb_has_the_version(verb: str, capsys: pytest.CaptureFixture[str
         ("calibrate lihgts", 'Did you mean "lights"?'),
         ("match a b --methd ridge", "Did you mean --method?"),
         ("reconstruct x --outt=y", "Did you mean --out instead of --outt=y?"),
-        ("match a b --method rigde", '"ridge"'),
+        ("match a b --method rigde", "did you mean 'ridge'?"),
     ],
 )
 def test_a_typo_is_answered_with_what_was_meant(

@@ -239,10 +239,10 @@ def import_people(
             written.append(words)
             continue
         try:
-            photographs = GivenPhotographs(
+            source = GivenPhotographs(
                 images, nir=nir[0] if nir else None, material="skin", **photographs
             )
-            capture, _ = capture_of(photographs)
+            capture, _ = capture_of(source)
         except BadInput as error:
             faults.append(f"{place.words}: {error}")
             continue

@@ -119,7 +119,7 @@ def readable(folder: Path) -> dict[str, Lines]:
         name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")
     }
     differ = {name: read(folder / f"{name}_differences.csv") for name in tables}
-    tables = {
+    for_reading = {
         "run": run_table(runs),
         "thesis": thesis_table(tables),
         "order": order_table(tables, differ),
@@ -134,31 +134,31 @@ def readable(folder: Path) -> dict[str, Lines]:
     }
     for name in ("normals", "relief"):
         rows = [row for row in differ["cases"] if row["attribute"] == name]
-        tables[f"{name}_differences"] = difference_table(rows, UNDILUTED)
+        for_reading[f"{name}_differences"] = difference_table(rows, UNDILUTED)
     which, between = (read(folder / f"normals{ending}.csv") for ending in ("", "_differences"))
-    tables["which_normals"] = rate_table(which, "case, normals", _which, (THESIS, PLAIN))
-    tables["which_normals_differences"] = difference_table(between, (PLAIN,))
-    tables["fusion_minutiae"] = rate_table(
+    for_reading["which_normals"] = rate_table(which, "case, normals", _which, (THESIS, PLAIN))
+    for_reading["which_normals_differences"] = difference_table(between, (PLAIN,))
+    for_reading["fusion_minutiae"] = rate_table(
         read(folder / "fusion_minutiae.csv"),
         "case, joined",
         lambda row: f"{row['case']}, {_attribute(row)}",
         (THESIS, PLAIN),
     )
-    tables["fusion_minutiae_differences"] = difference_table(
+    for_reading["fusion_minutiae_differences"] = difference_table(
         read(folder / "fusion_minutiae_differences.csv"), (THESIS_WHOLE, WHOLE)
     )
     for name in ("ridge", "minutiae"):
         rows = [row for row in tables["matchers"] if row["matcher"] == name]
-        tables[name] = rate_table(rows, "case", lambda row: row["case"], BY_PRINT)
-        tables[f"{name}_margin"] = margin_table(rows)
+        for_reading[name] = rate_table(rows, "case", lambda row: row["case"], BY_PRINT)
+        for_reading[f"{name}_margin"] = margin_table(rows)
     for name in ("family", "people"):
-        tables[name] = rate_table(
+        for_reading[name] = rate_table(
             read(folder / f"{name}.csv"),
             "case, matcher",
             lambda row: f"{row['case']}, {row['matcher']}",
             (PLAIN, WHOLE),
         )
-    tables["family_differences"] = difference_table(
+    for_reading["family_differences"] = difference_table(
         read(folder / "family_differences.csv"), (WHOLE,)
     )
     described, apart = (
@@ -168,15 +168,17 @@ def readable(folder: Path) -> dict[str, Lines]:
         rows, two = (
             [row for row in part if row["attribute"] == name] for part in (described, apart)
         )
-        tables[f"descriptors_{name}"] = rate_table(
+        for_reading[f"descriptors_{name}"] = rate_table(
             rows, f"feature, {name}", lambda row: row["case"], UNDILUTED
         )
-        tables[f"descriptors_{name}_differences"] = difference_table(two, UNDILUTED)
-    tables["figures"] = figures_table(read(folder / "figures.csv"))
+        for_reading[f"descriptors_{name}_differences"] = difference_table(two, UNDILUTED)
+    for_reading["figures"] = figures_table(read(folder / "figures.csv"))
     sensitivity = read(folder / "sensitivity.csv")
     for factor in ("roll", "glare", "moisture", "partial"):
-        tables[factor] = sensitivity_table([row for row in sensitivity if row["factor"] == factor])
-    return tables
+        for_reading[factor] = sensitivity_table(
+            [row for row in sensitivity if row["factor"] == factor]
+        )
+    return for_reading
 
 
 def read(file: Path) -> list[Row]:

@@ -55,7 +55,7 @@ def test_an_own_matcher_decides_by_its_own_rates(tmp_path: Path, capsys) -> None
     words += ["--calibrate", rates, "--method", "mine:compare", "--least-mm2", "0"]
     assert main(words) == 0
     for number, answer in ((0, "match"), (1, "no match")):
-        found = splitknit_match.match(
+        report = splitknit_match.match(
             pictures[0],
             pictures[number],
             method="mine:compare",
@@ -63,8 +63,8 @@ def test_an_own_matcher_decides_by_its_own_rates(tmp_path: Path, capsys) -> None
             fmr=0.01,
             resolution_ppi=500,
         )
-        assert found.decision is not None
-        assert found.decision.match == (answer == "match")
+        assert report.decision is not None
+        assert report.decision.match == (answer == "match")
     capsys.readouterr()
 
 

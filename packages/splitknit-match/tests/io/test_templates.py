@@ -13,7 +13,7 @@ from splitknit.errors import BadInput
 from splitknit_match.records.templates import (
     HEADER_BYTES,
     MAGIC,
-    _decode_template,
+    decode_template,
     encode_template,
     read_template,
     write_template,
@@ -68,7 +68,7 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
 @given(data=st.binary(max_size=80))
 def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     with contextlib.suppress(BadInput):
-        assert _decode_template(data, 1) == b""
+        assert decode_template(data, 1) == b""
         assert data == b""
 
 
@@ -80,10 +80,10 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
 )
 def test_every_changed_byte_is_noticed(payload: bytes, place: int, change: int) -> None:
     data = bytearray(encode_template(payload, 1))
-    assert _decode_template(bytes(data), 1) == payload
+    assert decode_template(bytes(data), 1) == payload
     data[place % len(data)] ^= change
     with pytest.raises(BadInput):
-        _decode_template(bytes(data), 1)
+        decode_template(bytes(data), 1)
 
 
 def test_header_of_nothing_is_refused() -> None:
@@ -91,4 +91,4 @@ def test_header_of_nothing_is_refused() -> None:
 
     empty = MAGIC + b"\x01\0\0\0\0\0\0\0" + hashlib.sha256(b"").digest()
     with pytest.raises(BadInput, match="no content"):
-        _decode_template(empty, 1)
+        decode_template(empty, 1)

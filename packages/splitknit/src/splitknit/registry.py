@@ -174,12 +174,15 @@ def not_installed(what: str, distribution: str) -> str:
 def own_object(kind: str, name: str, known: Iterable[str]) -> Any:
     """Somebody's own matcher or preset: an entry point of ``splitknit.matchers`` or
     ``splitknit.presets``, or named as MODULE:NAME. Raises BadInput."""
+    from difflib import get_close_matches
     from pkgutil import resolve_name
 
     from splitknit.errors import refusing, require
 
     value = registered(f"splitknit.{kind}s").get(name, name)
-    cure = f"known are {', '.join(known)}, and your own as MODULE:NAME."
+    near = get_close_matches(name, known, 1)
+    hint = f"did you mean '{near[0]}'? K" if near else "k"
+    cure = f"{hint}nown are {', '.join(known)}, and your own as MODULE:NAME."
     require(":" in value, f"there is no {kind} '{name}'; {cure}")
     with refusing(f"the {kind} '{name}' cannot be imported; is its module on PYTHONPATH?"):
         return resolve_name(value)

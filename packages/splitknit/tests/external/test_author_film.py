@@ -124,7 +124,7 @@ def test_the_white_frame_is_segmented_turned_cut_at_its_crease_and_printed(photo
     assert upright.width_px == pytest.approx(WHITE_FRAME_PX, abs=3)
     assert np.rad2deg(upright.yaw_rad) == pytest.approx(-7.1, abs=0.5)
     crease = find_crease(grey, mask, upright, px_per_mm)
-    assert crease.found and crease.distance_mm == pytest.approx(23.2, abs=0.5)
+    assert crease.detected and crease.distance_mm == pytest.approx(23.2, abs=0.5)
     phalange = phalange_mask(mask, crease, upright)
     image = relief_print(grey, phalange, px_per_mm, upright.input_from_upright, upright.size)
     assert 40 < len(prints.print_minutiae(image).x_px) < 120

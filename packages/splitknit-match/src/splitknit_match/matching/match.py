@@ -102,6 +102,7 @@ def match(
     from splitknit_match.matching.inputs import Pixels, Side, held, is_photo, read_side
     from splitknit_match.matching.methods import (
         auto_method,
+        check_method,
         check_rate,
         check_template_file,
         compare_sides,
@@ -112,6 +113,7 @@ def match(
     from splitknit_match.prints.photo_finger import PhotoFinger
 
     check_rate(fmr)
+    check_method(method)
     fingers = held(a, resolution_ppi), held(b, resolution_ppi)
     thesis = override(MatchingSettings(), settings or {}).thesis
     own = None if decision is None else read_own_rates(Path(decision))

@@ -269,10 +269,18 @@ def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> Match
     )
 
 
+KNOWN = ("auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae")
+
+
+def check_method(method: str) -> None:
+    """Raise BadInput if it is neither known nor somebody's own matcher."""
+    if method not in KNOWN:
+        own_matcher(method)
+
+
 def own_matcher(name: str) -> OwnMatcher:
     """Somebody's own matcher. Raises BadInput if there is none of the name."""
-    known = ("auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae")
-    return own_object("matcher", name, known)  # type: ignore[no-any-return]
+    return own_object("matcher", name, KNOWN)  # type: ignore[no-any-return]
 
 
 def _by_own(method: str, a: Side, b: Side) -> Match:
