@@ -123,6 +123,8 @@ class TestThesisSurface:
         settings = override(PRESETS["pr"], {"direct.method": "network"})
         facts = thesis.thesis_surface(dome(), settings).facts
         assert facts["separation"] == "none (opaque material: all light is direct)"
+        of_skin = thesis.thesis_surface(dome(material="skin"), settings).facts
+        assert of_skin["separation"].startswith("direct light by the network")
 
     def test_a_finished_surface_is_smoothed_in_mm(self):
         photographs = dome()
