@@ -1,10 +1,11 @@
-"""An integrator's times: a template, a comparison of two templates, a gallery's first search and the
-later ones, an enrolment that looks for duplicates, the file and the memory.
+"""An integrator's times: a template, a comparison of two templates, a gallery's first search and
+the later ones, an enrolment that looks for duplicates, the file and the memory.
 
     python benchmarks/bench_gallery.py [--captures 10000] [--rounds 5]
 
-Presses of simulated fingers; the gallery's captures are 24 of them with minutiae moved at random, so
-that no two agree. Run it without ``OPENBLAS_NUM_THREADS``: the library limits its threads itself.
+Presses of simulated fingers; the gallery's captures are 24 of them with minutiae moved at random,
+so that no two agree. Run it without ``OPENBLAS_NUM_THREADS``: the library limits its threads
+itself.
 """
 
 from __future__ import annotations
@@ -117,8 +118,10 @@ def main() -> None:
                 *seconds(lambda: splitknit_match.enroll(path, templates[2], "B", "left_index")),
             )
         )
-        print(f"\n{options.captures} captures, {path.stat().st_size / 1e6:.0f} MB on disk,"
-              f" peak memory {peak_mb:.0f} MB\n\n| | s | processor s |\n| --- | --- | --- |")  # fmt: skip
+        print(
+            f"\n{options.captures} captures, {path.stat().st_size / 1e6:.0f} MB on disk,"
+            f" peak memory {peak_mb:.0f} MB\n\n| | s | processor s |\n| --- | --- | --- |"
+        )
         for name, wall, busy in rows:
             print(f"| {name} | {wall:.2f} | {busy:.2f} |")
 

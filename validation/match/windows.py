@@ -367,8 +367,8 @@ def table_of(impostor: NDArray[np.float64], what: str, **more: float) -> dict[st
 
 
 def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants) -> None:
-    """Figures, and the table of small prints that the matcher ships; constants are copied by hand into
-    ``matching/fusion.py``."""
+    """Figures, and the table of small prints that the matcher ships; constants are copied by hand
+    into ``matching/fusion.py``."""
     score = scored(rows, constants)
     same = rows[:, 3] == 1
     small = ~np.isnan(rows[:, 9])

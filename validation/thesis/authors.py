@@ -1,7 +1,8 @@
 """The author's program beside his text: both matchers on the same captures, and what closed-set
 scores do to rates.
 
-    splitknit batch POPULATION --out STORE --cases snk,pr,ea --matchers thesis,thesis-code --impostors 1
+    splitknit batch POPULATION --out STORE --cases snk,pr,ea \\
+        --matchers thesis,thesis-code --impostors 1
     python validation/thesis/authors.py --population POPULATION --store STORE
 
 ``text``: the thesis's local binary patterns (5.2), without gate. ``code``: what the author's

@@ -95,7 +95,8 @@ def table(tables: Mapping[str, Sequence[Row]], known: Sequence[Row]) -> str:
         )
         columns = [
             "; ".join(
-                f"{words} {cell(tables[name], wanted | (judged if name != 'figures' else {}), figure)}"
+                f"{words}"
+                f" {cell(tables[name], wanted | (judged if name != 'figures' else {}), figure)}"
                 for words, name, wanted, figure in parts
                 if name != "figures" or judged is AVERAGED
             )

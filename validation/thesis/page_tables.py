@@ -205,7 +205,8 @@ def cell(row: Row, figure: str, factor: float, *, signed: bool = False) -> str:
     for way, (opening, closing) in {"finger": "[]", "subject": "()"}.items():
         limits = [row.get(f"{figure}_{end}_{way}") for end in ("low", "high")]
         if all(limits):
-            text += f" {opening}{', '.join(digits(factor * float(limit or 0), sign) for limit in limits)}{closing}"
+            ends = ", ".join(digits(factor * float(limit or 0), sign) for limit in limits)
+            text += f" {opening}{ends}{closing}"
     return text
 
 

@@ -1,10 +1,13 @@
 """Photographs of many people, as the thesis's authors have them, become a population for
 ``splitknit batch``.
 
-    splitknit calibrate lights --table examples/thesis_tips.csv --px-per-cm 757 --image-size 2200,3200 \\
-        --led-height-cm 14 --led-radius-cm 5 --led-centre-px 1575,1174 --keep --out rig.json
-    python validation/thesis/people.py TREE --images '{subject}/{session}/{finger}/white_{light}.jpg' \\
-        --nir '{subject}/{session}/{finger}/ir_{light}.jpg' --lights rig.json --out people [--dry-run]
+    splitknit calibrate lights --table examples/thesis_tips.csv --px-per-cm 757 \\
+        --image-size 2200,3200 --led-height-cm 14 --led-radius-cm 5 --led-centre-px 1575,1174 \\
+        --keep --out rig.json
+    python validation/thesis/people.py TREE \\
+        --images '{subject}/{session}/{finger}/white_{light}.jpg' \\
+        --nir '{subject}/{session}/{finger}/ir_{light}.jpg' \\
+        --lights rig.json --out people [--dry-run]
 
 Captures with missing, doubled or unreadable files are named and left out; the same command goes on
 where it stopped.

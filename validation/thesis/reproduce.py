@@ -4,7 +4,7 @@ his beside ours.
     python validation/thesis/reproduce.py --out DIR  # as the thesis: 17 people, ten fingers
     python validation/thesis/reproduce.py --out DIR --people 2      # ten minutes of two cores
     python validation/thesis/reproduce.py --out DIR --figures 5.4,5.5     # what these figures need
-    python validation/thesis/reproduce.py --out DIR --scheduler tls://HOST:8786  # reconstructs on a cluster
+    python validation/thesis/reproduce.py --out DIR --scheduler tls://HOST:8786  # on a cluster
 
 It states time and disk before it begins, may be stopped at any moment, and goes on with the same
 command. Everything is written below DIR; ``DIR/index.html`` is the page. Fewer than ten people show

@@ -3,7 +3,7 @@ resolution.
 
     python validation/thesis/rigs.py  # all sweeps: 15 minutes of one core; may be interrupted
     python validation/thesis/rigs.py --report  # only the tables (some are kept in tables/rig)
-    python validation/thesis/rigs.py --heights 100 140 --radii 40 52.5 80 --method metric  # a sweep of your own
+    python validation/thesis/rigs.py --heights 100 140 --radii 40 52.5 80 --method metric
 
 Every sweep grows in a folder of its own in ``validation/out/rig`` (one file a rig), so that a run
 that was stopped goes on where it was. ``rigs.json`` beside this script holds the figures that the

@@ -82,7 +82,8 @@ HOW = (
 def test_lines_of_a_comparison_by_ridges() -> None:
     assert match_lines(ridges()) == [
         "No match, decided at a false match rate of 1 in 10,000 (method ridge).",
-        "Estimated false match rate: 1 in 810 (measured on 12,345 impostor comparisons, of a test).",
+        "Estimated false match rate: 1 in 810 (measured on 12,345 impostor comparisons, of a"
+        " test).",
         HOW,
     ]
     lines = match_lines(ridges(template=TemplateFile("x.skt", 321)), scores=True)
@@ -437,10 +438,20 @@ def side_of(kind: str, lacks: str = "") -> Side:
 @pytest.mark.parametrize(
     ("side", "method", "code", "lacks"),
     [
-        (side_of("print"), "fusion", "failure-to-acquire", "less than 10 mm² of ridges, which a print must show"),
+        (
+            side_of("print"),
+            "fusion",
+            "failure-to-acquire",
+            "less than 10 mm² of ridges, which a print must show",
+        ),
         (side_of("print"), "minutiae", "failure-to-acquire", "fewer than ten minutiae"),
         (side_of("result"), "ridge", "failure-to-acquire", "no ridges"),
-        (side_of("print", "no print of a finger"), "minutiae", "not-a-print", "no print of a finger"),
+        (
+            side_of("print", "no print of a finger"),
+            "minutiae",
+            "not-a-print",
+            "no print of a finger",
+        ),
     ],
 )  # fmt: skip
 def test_a_failure_to_acquire_has_its_reason(
