@@ -4,8 +4,8 @@
     python validation/rig_check/run.py --sound 100:110 --faulty 100:102 --out /tmp/chosen.csv
 
 Twins as people build them (:mod:`twins`), card, ball, phantom and finger rendered, photographed and
-judged as `splitknit rig check` does. Limits were chosen on seeds from 100 on; what is reported begins
-at 1000. A row of the table is a question of one rig.
+judged as `splitknit rig check` does. Limits were chosen on seeds from 100 on; what is reported
+begins at 1000. A row of the table is a question of one rig.
 """
 
 from __future__ import annotations
