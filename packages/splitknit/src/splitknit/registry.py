@@ -181,8 +181,8 @@ def own_object(kind: str, name: str, known: Iterable[str]) -> Any:
 
     value = registered(f"splitknit.{kind}s").get(name, name)
     near = get_close_matches(name, known, 1)
-    hint = f"did you mean '{near[0]}'? K" if near else "k"
-    cure = f"{hint}nown are {', '.join(known)}, and your own as MODULE:NAME."
+    hint = f"; did you mean '{near[0]}'?" if near else "."
+    cure = f"known are {', '.join(known)}, and your own as MODULE:NAME{hint}"
     require(":" in value, f"there is no {kind} '{name}'; {cure}")
     with refusing(f"the {kind} '{name}' cannot be imported; is its module on PYTHONPATH?"):
         return resolve_name(value)
