@@ -313,6 +313,38 @@ sys.exit(cli.main())
     )
 
 
+def test_an_interrupt_in_a_finalizer_ends_the_verb() -> None:
+    """Python prints and forgets an exception of a weak reference's callback."""
+    code = """
+import os, signal, sys, time, weakref
+from splitknit import pipeline
+from splitknit.cli import main as cli
+
+class Image:
+    pass
+
+def interrupted(*arguments, **options):
+    image = Image()
+    finalizer = weakref.ref(image, lambda _: os.kill(os.getpid(), signal.SIGINT))
+    del image
+    time.sleep(10)
+
+import splitknit.io.results
+splitknit.io.results.read_result = interrupted
+sys.exit(cli.main())
+"""
+    run = subprocess.run(
+        [sys.executable, "-c", code, "profile", "a", "1,1", "2,2"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (run.returncode, run.stderr) == (
+        130,
+        "splitknit: interrupted; nothing was left half-written.\n",
+    )
+
+
 def test_an_interrupt_at_exit_is_no_traceback() -> None:
     code = "import atexit, os, signal, sys; from splitknit.cli.main import main; "
     code += (

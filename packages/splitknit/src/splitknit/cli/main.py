@@ -44,6 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(words)
     try:
         _on_interrupt(_interrupt)  # from here on there is something to clean up
+        sys.unraisablehook = _interrupt_again
         try:
             return _run(words)
         finally:
@@ -76,6 +77,20 @@ def _interrupt(number: int, _: object) -> None:
         return
     INTERRUPTS.append(number)
     raise KeyboardInterrupt
+
+
+def _interrupt_again(unraisable: sys.UnraisableHookArgs) -> None:
+    """An interrupt within a finalizer or a weak reference's callback, which Python would print and
+    forget, comes once more when that has ended."""
+    if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
+        return
+    import _thread
+    import threading
+
+    again = threading.Timer(0.01, _thread.interrupt_main, [INTERRUPTS[-1]])
+    again.daemon = True
+    again.start()
 
 
 def _leave(*unused: object) -> NoReturn:
