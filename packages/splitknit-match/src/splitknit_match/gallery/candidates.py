@@ -16,7 +16,7 @@ from splitknit_match.gallery.identify import (
     MINUTIAE_HASH,
     TEMPLATES_HASH,
     Identification,
-    identify_among,
+    identify_finger,
 )
 from splitknit_match.matching.inputs import Side, held, read_side
 from splitknit_match.matching.match import Finger
@@ -109,7 +109,7 @@ class Candidates:
         def read(progress: Progress) -> Side:
             return read_side(held(probe, resolution_ppi), preset, progress, resolution_ppi)
 
-        return identify_among(self._people, read, top=top, fmr=fmr, progress=progress)
+        return identify_finger(self._people, read, top=top, fmr=fmr, progress=progress)
 
 
 def _area_mm2(payload: bytes) -> float:

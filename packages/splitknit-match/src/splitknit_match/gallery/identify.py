@@ -159,8 +159,9 @@ class _Comparison:
         return rate(self.similarity, scores, self.overlap_mm2, fmr)
 
 
+@one_blas_thread()
 def identify_finger(
-    gallery: GalleryFile,
+    gallery: GalleryFile | People,
     read: Callable[[Progress], Side],
     *,
     top: int = 10,
@@ -173,42 +174,13 @@ def identify_finger(
     """Who is it? That nobody is found is a result, no error. Raises BadInput as
     :func:`splitknit_match.identify`.
 
-    `read`: reads the probe, once all else is known to be sound.
+    `gallery`: a file, or what was read of one. `read`: reads the probe, once all else is known to
+    be sound.
     """
-    _check(top, finger, fmr, merge)
-    person = None if person is None else check_person(person)
-    people = gallery.people(person)
-    of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-    gallery.require_comparable(
-        people.settings_sha256, MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH
-    )
-    return identify_among(
-        people,
-        read,
-        top=top,
-        person=person,
-        finger=finger,
-        fmr=fmr,
-        merge=merge,
-        progress=progress,
-    )
-
-
-@one_blas_thread()
-def identify_among(
-    people: People,
-    read: Callable[[Progress], Side],
-    *,
-    top: int = 10,
-    person: str | None = None,
-    finger: str | None = None,
-    fmr: float | None = None,
-    merge: Merge = "person",
-    progress: Progress = no_progress,
-) -> Identification:
-    """As :func:`identify_finger`, among what is in memory."""
     started = time.perf_counter()
     _check(top, finger, fmr, merge)
+    person = None if person is None else check_person(person)
+    people = gallery if isinstance(gallery, People) else _comparable_people(gallery, person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
     entries = people.of(person, finger)
     if fmr is not None:  # refused here, before anything is made, where no such rate was measured
@@ -225,8 +197,8 @@ def identify_among(
     acquired = probe.acquired if isinstance(probe, Minutiae) else not probe.empty
     area_mm2 = 0.0 if isinstance(probe, Minutiae) else probe.area_mm2
 
-    in_part = person is None and finger is None
-    most = max(top, round(NEAREST * len(entries))) if in_part else len(entries)
+    of_everybody = person is None and finger is None
+    most = max(top, round(NEAREST * len(entries))) if of_everybody else len(entries)
     comparisons, searched, findings = _search(people, probe, entries, most=most, progress=progress)
     table = {"minutiae": "minutiae_of_prints"}.get(searched.compared_by, searched.compared_by)
     if table == "fusion" and side.kind == "photo":
@@ -276,6 +248,14 @@ def identify_among(
         undecided=undecided,
         findings=worst_first([*side.findings, *findings]),
     )
+
+
+def _comparable_people(gallery: GalleryFile, person: str | None) -> People:
+    """What a gallery holds, if its templates are of this version."""
+    people = gallery.people(person)
+    known = MINUTIAE_HASH if people.settings_sha256 == MINUTIAE_HASH else TEMPLATES_HASH
+    gallery.require_comparable(people.settings_sha256, known)
+    return people
 
 
 def _check(top: int, finger: str | None, fmr: float | None, merge: str) -> None:
