@@ -7,7 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
+from splitknit.errors import BadInput
 from splitknit.io.prints import read_print_png
+from splitknit_match import enroll, identify
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
@@ -62,3 +64,17 @@ def test_unenhanced_minutiae_give_the_scores_of_nbis_py(files) -> None:
     ours = [unpack_minutiae(pack_minutiae(minutiae)) for minutiae in extracted]
     for i, j in itertools.product(range(len(some)), repeat=2):
         assert minutiae_match(ours[i], ours[j]) == theirs[i].compare(theirs[j])
+
+
+def test_touches_of_a_laptops_sensor_are_matched_at_their_resolution(data_dir, tmp_path) -> None:
+    """At 508 ppi, as they were said to have, their ridges would lie closer than people's do."""
+    folder, gallery = data_dir / "small_sensor", tmp_path / "people.skg"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is absent")
+    touches = [folder / "register" / f"{number}.tiff" for number in range(1, 12)]
+    with pytest.raises(BadInput, match=r"at 508 ppi its ridges are 0.3\d mm apart"):
+        enroll(gallery, touches, "Ann", "right_index", resolution_ppi=508)
+    enroll(gallery, touches, "Ann", "right_index", resolution_ppi=350)
+    for number in (1, 2):
+        probe = folder / "match" / f"{number}.tiff"
+        assert identify(gallery, probe, resolution_ppi=350).answer == "match"

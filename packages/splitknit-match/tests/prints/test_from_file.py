@@ -25,6 +25,7 @@ from splitknit_match.prints.from_file import (
     print_at_500_ppi,
     read_one_finger,
     read_print_file,
+    resolution_doubt,
 )
 from splitknit_match.prints.make import enhance, minutiae_by_phase
 
@@ -222,8 +223,19 @@ def test_resolutions_that_no_print_has_are_refused(tmp_path: Path) -> None:
 def test_pictures_without_ridges_have_no_period() -> None:
     noise = np.random.default_rng(1).integers(0, 256, (400, 400)).astype(np.uint8)
     squares, plain = np.kron(noise[:20, :20], np.ones((20, 20), np.uint8)), np.full_like(noise, 9)
-    too_small = spiral_print()[200:250]
+    too_small = spiral_print()[200:240]
     assert [_ridge_period_px(image) for image in (noise, plain, squares, too_small)] == [None] * 4
+
+
+def test_a_touch_of_a_small_sensor_shows_its_resolution() -> None:
+    touch = spiral_print()[200:252, 100:203]
+    whole = _ridge_period_px(spiral_print())
+    assert whole is not None
+    assert _ridge_period_px(touch) == pytest.approx(whole, rel=0.1)
+    assert resolution_doubt(PrintFile(touch, 500.0, {})) is None
+    doubt = resolution_doubt(PrintFile(touch, 500 * 1.8, {}))
+    assert doubt is not None
+    assert "pixels per inch would fit" in str(doubt)
 
 
 @pytest.mark.parametrize(

@@ -144,13 +144,18 @@ def _suggestion(image: GreyArray) -> str:
             "it shows no ridges to measure it by: give it in pixels per inch, such as"
             " `resolution_ppi` 500"
         )
-    low, high = (
-        10 * round(period * 2.54 / (USUAL_PERIOD_MM * times)) for times in USUAL_PERIODS[::-1]
-    )
     return (
-        f"its ridges lie {period:.1f} pixels apart, which fits {low} to {high} pixels per inch:"
-        " give the value of the scanner's data sheet, such as `resolution_ppi` 500"
+        f"its ridges lie {period:.1f} pixels apart, which fits {_usual_ppi(period)}: give the value"
+        " of the scanner's data sheet, such as `resolution_ppi` 500"
     )
+
+
+def _usual_ppi(period_px: float) -> str:
+    """Resolutions at which ridges so far apart are usual."""
+    low, high = (
+        10 * round(period_px * 2.54 / (USUAL_PERIOD_MM * times)) for times in USUAL_PERIODS[::-1]
+    )
+    return f"{low} to {high} pixels per inch"
 
 
 def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -238,13 +243,15 @@ def resolution_doubt(item: PrintFile) -> Finding | None:
         ):
             period = float(np.median(periods[ridges])) / scale
     period = period or _ridge_period_px(item.image)
-    period_mm = USUAL_PERIOD_MM if period is None else period * 25.4 / ppi
+    if period is None:
+        return None
+    period_mm = period * 25.4 / ppi
     if 0.9 * USUAL_PERIODS[0] < period_mm / USUAL_PERIOD_MM < 1.1 * USUAL_PERIODS[1]:
         return None
     return Finding(
         "odd-resolution",
         f"at {ppi:.0f} ppi its ridges are {period_mm:.2f} mm apart, which is unusual: check the"
-        " resolution.",
+        f" resolution, {_usual_ppi(period)} would fit.",
         Severity.DOUBT,
     )
 
@@ -354,13 +361,13 @@ def _ridge_period_px(image: GreyArray) -> float | None:
     period = None
     for k in range(-1, 9):
         scale = 2.0 ** (-k / 2)
-        if min(image.shape) * min(scale, 1) < 2 * TILE_PX or (k < 0 and image.size > 4_000_000):
+        side = min(image.shape) * min(scale, 1)
+        if side < 1.5 * TILE_PX or (k < 0 and image.size > 4_000_000):
             continue
         kind = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=kind)
-        purity, periods, strong = _waves(
-            small, TILE_PX // 2 if small.size < 1_000_000 else 2 * TILE_PX
-        )
+        tiles_apart = 0.25 if side < 3 * TILE_PX else 0.5 if small.size < 1_000_000 else 2
+        purity, periods, strong = _waves(small, round(tiles_apart * TILE_PX))
         count = max(int(strong.sum()) // 8, 12)
         if purity.size < count:
             continue
