@@ -283,6 +283,20 @@ def test_an_interrupt_in_an_import_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+def assert_interrupted_profile(code: str) -> None:
+    """One line and no more where `code`, which may change the program, runs `profile`."""
+    run = subprocess.run(
+        [sys.executable, "-c", code, "profile", "a", "1,1", "2,2"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (run.returncode, run.stderr) == (
+        130,
+        "splitknit: interrupted; nothing was left half-written.\n",
+    )
+
+
 @pytest.mark.parametrize("error", ["ImportError", "BadInput"])
 def test_an_interrupt_that_a_module_makes_an_error_of_is_one(error: str) -> None:
     """As pybind11 does where the import of a compiled module is interrupted."""
@@ -301,16 +315,7 @@ import splitknit.io.results
 splitknit.io.results.read_result = run
 sys.exit(cli.main())
 """
-    run = subprocess.run(
-        [sys.executable, "-c", code, "profile", "a", "1,1", "2,2"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (run.returncode, run.stderr) == (
-        130,
-        "splitknit: interrupted; nothing was left half-written.\n",
-    )
+    assert_interrupted_profile(code)
 
 
 def test_an_interrupt_in_a_finalizer_ends_the_verb() -> None:
@@ -333,16 +338,7 @@ import splitknit.io.results
 splitknit.io.results.read_result = interrupted
 sys.exit(cli.main())
 """
-    run = subprocess.run(
-        [sys.executable, "-c", code, "profile", "a", "1,1", "2,2"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (run.returncode, run.stderr) == (
-        130,
-        "splitknit: interrupted; nothing was left half-written.\n",
-    )
+    assert_interrupted_profile(code)
 
 
 def test_an_interrupt_at_exit_is_no_traceback() -> None:
