@@ -369,7 +369,9 @@ def _enroll_population(
 
 
 def _enrolled_line(capture: EnrolledCapture) -> str:
-    who = f"{capture.person}, {capture.finger.replace('_', ' ')}, session {capture.session}"
+    from splitknit_match.gallery.file import in_words
+
+    who = in_words(capture.person, capture.finger, capture.session)
     if not capture.new:
         return f"{who} was enrolled from the same source already."
     holds = f"{capture.area_mm2:.0f} mm² of skin" if capture.area_mm2 else "minutiae"

@@ -116,7 +116,12 @@ class Entry:
     @property
     def words(self) -> str:
         """For people."""
-        return f"{self.person}, {self.finger.replace('_', ' ')}, session {self.session}"
+        return in_words(*self.names)
+
+
+def in_words(person: str, finger: str, session: str) -> str:
+    """Names of a capture, for people."""
+    return f"{person}, {finger.replace('_', ' ')}, session {session}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ from splitknit_match.gallery.file import (
     NewCapture,
     check_person,
     check_session,
+    in_words,
     known_finger,
 )
 from splitknit_match.gallery.identify import (
@@ -416,14 +417,14 @@ class _Review:
 
 def _alike(candidate: RankedCandidate, person: str) -> Finding:
     """That a finger of a person matches another one."""
-    who = f"{candidate.person}, {candidate.finger.replace('_', ' ')}, session {candidate.session}"
+    who = in_words(candidate.person, candidate.finger, candidate.session)
     same = candidate.person == person
     asked = "the same finger, named wrong" if same else "the same person under another name"
     return Finding("matches-another", f"it matches {who}; is that {asked}?", Severity.DOUBT)
 
 
 def _kept_failure(capture: EnrolledCapture) -> Finding:
-    who = f"{capture.person}, {capture.finger.replace('_', ' ')}, session {capture.session}"
+    who = in_words(capture.person, capture.finger, capture.session)
     lacks = "too few ridges or minutiae (failure to acquire)"
     words = f"{who} holds {lacks}; it is kept as such and will match nobody."
     return Finding("failure-to-acquire", words)

@@ -21,6 +21,7 @@ from splitknit_match.gallery.file import (
     GalleryFile,
     People,
     check_person,
+    in_words,
     known_finger,
     session_order,
 )
@@ -394,9 +395,7 @@ def identification_lines(search: Identification, *, scores: bool = False) -> lis
     """Of an identification; `scores`: also the method's own, whose scale few know."""
     lines, basis, decision = [_verdict(search)], search.fmr_basis, search.decision
     for candidate in search.candidates:
-        who = (
-            f"{candidate.person}, {candidate.finger.replace('_', ' ')}, session {candidate.session}"
-        )
+        who = in_words(candidate.person, candidate.finger, candidate.session)
         rate = (
             "not known" if basis is None or candidate.fmr is None else one_in(candidate.fmr, basis)
         )
