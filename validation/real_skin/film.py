@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -27,8 +28,22 @@ from splitknit import read_capture
 from splitknit_simulator import simulate_capture
 
 Array = NDArray[np.float64]
+Row = dict[str, str]
 
 TABLE = Path(__file__).with_name("tables") / "film.csv"
+HEADS = (
+    "figure",
+    "red",
+    "green",
+    "blue",
+    "luma",
+    "nir",
+    "red_over_green",
+    "nir_over_green",
+    "second_harmonic",
+)
+"""Contrasts in percent, and ratios; with the range of twelve fingers, or 95 % of patches drawn
+again."""
 DATA = Path(os.environ.get("SPLITKNIT_DATA", Path(__file__).parents[3] / "shared" / "data"))
 FILM_PX_PER_MM = 235.0 / 16.0
 """The finger is 235 px wide in the white frame; its width of 16 mm is assumed."""
@@ -90,13 +105,13 @@ class Patches:
         return float(np.sqrt(max(ratio, 0.0)))
 
 
-def measured(image: Array, guide: Array, mask: NDArray[np.bool_], scale: float = 1.0) -> Patches:
-    """Measure `image` (H, W, C) where `guide` (H, W) has ridges; `scale`: pixels over the film's."""
-    size = round(PATCH_PX * scale)
+def measured(image: Array, guide: Array, mask: NDArray[np.bool_]) -> Patches:
+    """Measure `image` (H, W, C) where `guide` (H, W) has ridges."""
+    size = PATCH_PX
     window = np.outer(np.hanning(size + 2)[1:-1], np.hanning(size + 2)[1:-1])
     across, down = np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size))
-    radius, lobe = np.hypot(across, down), LOBE / scale
-    ring = (radius > 1 / PERIODS_PX[1] / scale) & (radius < 1 / PERIODS_PX[0] / scale)
+    radius = np.hypot(across, down)
+    ring = (radius > 1 / PERIODS_PX[1]) & (radius < 1 / PERIODS_PX[0])
     # twice the mean square is the square of the amplitude
     norm = 2.0 / (size * size * np.sum(window**2))
     rows = []
@@ -115,9 +130,9 @@ def measured(image: Array, guide: Array, mask: NDArray[np.bool_], scale: float =
             def excess(values: Array, order: int, place: tuple[float, float] = place) -> Array:
                 """Sum over the lobes at `order` times the peak, less the noise beside them."""
                 u, v = order * place[0], order * place[1]
-                near = np.hypot(across - u, down - v) < lobe
-                near |= np.hypot(across + u, down + v) < lobe
-                beside = (np.abs(radius - np.hypot(u, v)) < lobe) & ~near
+                near = np.hypot(across - u, down - v) < LOBE
+                near |= np.hypot(across + u, down + v) < LOBE
+                beside = (np.abs(radius - np.hypot(u, v)) < LOBE) & ~near
                 return norm * (values[near].sum(0) - near.sum() * values[beside].mean(0))
 
             cross = np.real(spectra[..., 1:] * np.conj(spectra[..., :1]))
@@ -307,95 +322,94 @@ def enlarged_over_frame(luma: Array, crop: Array, inside: NDArray[np.bool_]) -> 
     return float(patches.amplitudes()[0] / np.sqrt(patches.guide.mean()))
 
 
-def percent(values: Array) -> list[str]:
-    """Median with the whole range, each column; percent but for the last two, which are ratios."""
+def with_range(values: Array) -> list[str]:
+    """Each column's median, and its range where it has more than one value."""
     return [
-        f"{np.median(column):.3g} [{np.min(column):.3g}, {np.max(column):.3g}]"
+        f"{np.median(column):.3g}"
+        + (f" [{np.min(column):.3g}, {np.max(column):.3g}]" if len(column) > 1 else "")
         for column in np.asarray(values).T
     ]
 
 
-def of_frames(folder: Path) -> tuple[list[list[str]], Array]:
+def of_frames(folder: Path) -> tuple[list[Row], Array]:
     """Rows of the film, and the profile of its green."""
     white, nir = frame(folder / "white_raw.png"), frame(folder / "nir_raw.png")
     outline = finger_of(white)
     inside = inner(outline, FILM_PX_PER_MM)
     inside[CREASE_ROW:] = False
     luma = white @ LUMA
-    rows = []
 
-    def add(name: str, patches: Patches, alone: bool = False) -> None:
+    def contrasts(name: str, patches: Patches, alone: bool = False) -> Row:
         value = patches.alone() if alone else patches.amplitudes()
         low, high = np.percentile(resampled(patches, alone), (2.5, 97.5), axis=0)
         cells = [
             f"{100 * v:.2f} [{100 * a:.2f}, {100 * b:.2f}]"
             for v, a, b in zip(value, low, high, strict=True)
         ]
-        rows.append([name, *cells, f"{value[0] / value[1]:.2f}"])
+        row = {"figure": f"film, {name}", **dict(zip(HEADS[1:5], cells, strict=True))}
+        return row if alone else row | {"red_over_green": f"{value[0] / value[1]:.2f}"}
 
     patches = measured(with_luma(white), luma, inside)
-    add(f"film, white, {len(patches.guide)} patches", patches)
-    add(
-        "film, white, if its code is sRGB's: linear",
-        measured(with_luma(linear(white)), luma, inside),
-    )
-    add(
-        "film, near infrared, at the white frame's ridges",
-        measured(with_luma(nir), luma, inside),
-        True,
-    )
+    as_linear = measured(with_luma(linear(white)), luma, inside)
+    infrared = measured(with_luma(nir), luma, inside)
     chroma = np.stack([white[..., 0] - luma, white[..., 2] - luma], axis=2) + 1.0
-    share = measured(chroma, luma, inside).amplitudes() / (
-        patches.amplitudes()[3] * luma[inside].mean()
-    )
-    rows.append(
-        ["film, red and blue less luma, over luma's amplitude", *(f"{v:.3f}" for v in share)]
-    )
-    rows.append(
-        [
-            "film, red, 1st, 50th and 99th percentile",
-            *(
-                f"{255 * v:.1f}"
-                for v in np.percentile(
-                    cv2.GaussianBlur(white[..., 0], (0, 0), 3.0)[inside], (1, 50, 99)
-                )
-            ),
-        ]
-    )
+    share = measured(chroma, luma, inside).amplitudes()
+    share /= patches.amplitudes()[3] * luma[inside].mean()
+    red = cv2.GaussianBlur(255 * white[..., 0], (0, 0), 3.0)[inside]
+    low, middle, high = np.percentile(red, (1, 50, 99))
     ratio = enlarged_over_frame(luma, frame(folder / "grey_crop.png")[..., 1], inside)
-    rows.append(["film, enlarged picture over frame, luma", f"{ratio:.3f}"])
-    rows.append(["film, second harmonic over first", f"{patches.harmonic():.3f}"])
-    lines = range(260, 470, 7)
-    return rows, profile(cv2.GaussianBlur(white[..., 1], (0, 0), 4.0), outline, lines)
+    rows = [
+        contrasts(f"white, coded, {len(patches.guide)} patches", patches)
+        | {"second_harmonic": f"{patches.harmonic():.3g}"},
+        contrasts("white, linear if its code is sRGB's", as_linear),
+        contrasts("near infrared, coded, at the white frame's ridges", infrared, alone=True),
+        {
+            "figure": "film, ridges in red and blue less luma over those in luma",
+            "red": f"{share[0]:.3f}",
+            "blue": f"{share[1]:.3f}",
+        },
+        {
+            "figure": "film, smoothed red, of 255: median, 1st and 99th percentile",
+            "red": f"{middle:.1f} [{low:.1f}, {high:.1f}]",
+        },
+        {"figure": "film, enlarged grey picture over the frame", "luma": f"{ratio:.3f}"},
+    ]
+    return rows, profile(cv2.GaussianBlur(white[..., 1], (0, 0), 4.0), outline, range(260, 470, 7))
+
+
+def of_fingers(name: str, fingers: Sequence[Finger], film: Array) -> Iterator[Row]:
+    """Rows of simulated fingers, as they are and through the film."""
+    powers = [[power] for finger in fingers for power in exponents(finger, film)]
+    (cell,) = with_range(powers)
+    yield {"figure": f"film's profile of green as a power of that of {name}", "green": cell}
+    for code in (False, True):
+        transfer = "sRGB code" if code else "linear"
+        values = np.array([of_finger(finger, code) for finger in fingers])
+        values[:, :5] *= 100
+        yield dict(zip(HEADS, [f"{name}, {transfer}", *with_range(values)], strict=False))
+        for blur, quality in itertools.product(LENS_PX, QUALITIES):
+            values = np.array([of_film(finger, code, blur, quality) for finger in fingers])
+            values[:, 0] *= 100
+            cells = with_range(values)
+            label = f"{name} through the film, {transfer}, blur {blur:g} px, quality {quality}"
+            names = ("luma", "red_over_green", "second_harmonic")
+            yield {"figure": label, **dict(zip(names, cells, strict=True))}
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Print and write the table."""
+    parser = argparse.ArgumentParser()
     parser.add_argument("--data", type=Path, default=DATA)
     data = parser.parse_args().data
     rows, film = of_frames(data / "author_film")
-    groups = {name: [walked(data, name)] for name in ("loop", "print")}
-    groups["simulator"] = list(simulated())
-    for name, fingers in groups.items():
-        powers = [power for finger in fingers for power in exponents(finger, film)]
-        rows.append(
-            [f"{name}: the film's green as a power of its light", *percent([[p] for p in powers])]
-        )
-        for code in (True, False):
-            values = np.array([of_finger(finger, code) for finger in fingers])
-            values[:, :5] *= 100
-            rows.append([f"{name}, {'sRGB code' if code else 'linear'}", *percent(values)])
-        for code in (True, False):
-            for blur in LENS_PX:
-                for quality in QUALITIES:
-                    values = np.array([of_film(finger, code, blur, quality) for finger in fingers])
-                    values[:, 0] *= 100
-                    label = f"{name}, {'sRGB code' if code else 'linear'}, blur {blur:g} px, quality {quality}"
-                    rows.append([f"through the film: {label}", *percent(values)])
-    heads = ["figure", "red", "green", "blue", "luma", "nir", "red_over_green", "nir_over_green"]
-    print("\n".join("; ".join(row) for row in [heads, *rows]))
+    for name in ("loop", "print"):
+        rows += of_fingers(f"path-traced {name}", [walked(data, name)], film)
+    rows += of_fingers("simulator", list(simulated()), film)
+    print("\n".join("; ".join(row.values()) for row in rows))
     with TABLE.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([heads, *rows])
+        writer = csv.DictWriter(file, HEADS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
     return 0
 
 
