@@ -133,7 +133,8 @@ def measured(image: Array, guide: Array, mask: NDArray[np.bool_]) -> Patches:
                 near = np.hypot(across - u, down - v) < LOBE
                 near |= np.hypot(across + u, down + v) < LOBE
                 beside = (np.abs(radius - np.hypot(u, v)) < LOBE) & ~near
-                return norm * (values[near].sum(0) - near.sum() * values[beside].mean(0))
+                noise = near.sum() * values[beside].mean(0)
+                return np.asarray(norm * (values[near].sum(0) - noise), dtype=np.float64)
 
             cross = np.real(spectra[..., 1:] * np.conj(spectra[..., :1]))
             own = np.abs(spectra[..., 1:]) ** 2
@@ -169,7 +170,8 @@ def inner(mask: NDArray[np.bool_], px_per_mm: float) -> NDArray[np.bool_]:
 
 def frame(path: Path) -> Array:
     """(H, W, 3) coded values, 0 to 1."""
-    return cv2.imread(str(path))[..., ::-1].astype(np.float64) / 255
+    stored = np.asarray(cv2.imread(str(path)))
+    return np.asarray(stored[..., ::-1], dtype=np.float64) / 255
 
 
 def through_film(
@@ -188,7 +190,8 @@ def through_film(
     _, bytes_ = cv2.imencode(
         ".jpg", values[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality, *sampling]
     )
-    return cv2.imdecode(bytes_, cv2.IMREAD_COLOR)[..., ::-1].astype(np.float64) / 255
+    shown = np.asarray(cv2.imdecode(bytes_, cv2.IMREAD_COLOR))
+    return np.asarray(shown[..., ::-1], dtype=np.float64) / 255
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,7 +211,7 @@ def reduced(bands: dict[str, Array], mask: NDArray[np.bool_], px_per_mm: float) 
 
     def small(image: Array) -> Array:
         resized = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-        return np.asarray(resized).reshape(*resized.shape[:2], -1)
+        return np.asarray(resized, dtype=np.float64).reshape(*resized.shape[:2], -1)
 
     white, nir = (np.stack([small(image) for image in bands[name]]) for name in ("white", "nir"))
     inside = small(mask.astype(np.float64))[..., 0] > 0.999
@@ -244,7 +247,7 @@ def of_finger(finger: Finger, code: bool) -> Array:
         at = measured(image, image[..., 3], finger.mask).amplitudes()
         infrared = measured(dark[..., :1], image[..., 3], finger.mask).alone()
         rows.append([*at, *infrared, at[0] / at[1], infrared[0] / at[1]])
-    return np.mean(rows, axis=0)
+    return np.asarray(np.mean(rows, axis=0))
 
 
 def of_film(finger: Finger, code: bool, blur: float, quality: int) -> Array:
@@ -256,7 +259,7 @@ def of_film(finger: Finger, code: bool, blur: float, quality: int) -> Array:
         patches = measured(image, image[..., 3], finger.mask)
         at = patches.amplitudes()
         rows.append([at[3], at[0] / at[1], patches.harmonic()])
-    return np.mean(rows, axis=0)
+    return np.asarray(np.mean(rows, axis=0))
 
 
 def profile(channel: Array, mask: NDArray[np.bool_], rows: Sequence[int]) -> Array:
@@ -278,7 +281,8 @@ def exponents(finger: Finger, film: Array) -> list[float]:
     rows = [row for row in rows if row < len(finger.outline)]
     powers = []
     for white in finger.white:
-        light = profile(cv2.GaussianBlur(white[..., 1], (0, 0), 4.0), finger.outline, rows)
+        green = np.asarray(cv2.GaussianBlur(white[..., 1], (0, 0), 4.0), dtype=np.float64)
+        light = profile(green, finger.outline, rows)
         powers.append(float(light @ film / (light @ light)))
     return powers
 
@@ -374,13 +378,14 @@ def of_frames(folder: Path) -> tuple[list[Row], Array]:
         },
         {"figure": "film, enlarged grey picture over the frame", "luma": f"{ratio:.3f}"},
     ]
-    return rows, profile(cv2.GaussianBlur(white[..., 1], (0, 0), 4.0), outline, range(260, 470, 7))
+    green = np.asarray(cv2.GaussianBlur(white[..., 1], (0, 0), 4.0), dtype=np.float64)
+    return rows, profile(green, outline, range(260, 470, 7))
 
 
 def of_fingers(name: str, fingers: Sequence[Finger], film: Array) -> Iterator[Row]:
     """Rows of simulated fingers, as they are and through the film."""
     powers = [[power] for finger in fingers for power in exponents(finger, film)]
-    (cell,) = with_range(powers)
+    (cell,) = with_range(np.array(powers))
     yield {"figure": f"film's profile of green as a power of that of {name}", "green": cell}
     for code in (False, True):
         transfer = "sRGB code" if code else "linear"
