@@ -27,7 +27,7 @@ PERIOD_PX = 15
 DEPTH_MM = 0.065
 SIZE = (31, 4 * PERIOD_PX + 1)
 USUAL = FingerOptics(spread=1 / 3, scattering_factor=0.7, mottle=0.0)
-CHANGES = (
+CHANGES: tuple[dict[str, float], ...] = (
     {},
     {"spread": 0.0},
     {"spread": 1.0},
