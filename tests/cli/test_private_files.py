@@ -34,7 +34,15 @@ def test_verbs_write_private_files(
     umask = os.umask(0)
     try:
         for words in (
-            ["reconstruct", str(twin_folder), "--preset", "ea", "--out", str(out / "result")],
+            [
+                "reconstruct",
+                str(twin_folder),
+                "--preset",
+                "ea",
+                "--keep-steps",
+                "--out",
+                str(out / "result"),
+            ],
             ["match", str(out / "result"), "--template", str(out / "templates" / "a.skt")],
             ["print", str(out / "result"), "--out", str(out / "print")],
             [

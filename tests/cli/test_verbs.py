@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import pytest
 from cyclopts import Parameter
+from numpy.typing import NDArray
 
 from splitknit import registry
 from splitknit.arguments import (
@@ -28,6 +30,8 @@ from splitknit.arguments import (
 from splitknit.cli.app import build_app, help_of
 from splitknit.cli.main import main
 from splitknit.errors import BadInput, require
+from splitknit.imaging.band import decode_table
+from splitknit.io.images import read_image
 from splitknit.settings import Limits
 
 
@@ -217,3 +221,30 @@ def test_the_table_and_the_functions_say_the_same() -> None:
         if app[name].default_command is not None:
             words = " ".join(help_of(app, [name]).split("\n\n")[1].split()).rstrip(".")
             assert words.lower() == line.lower(), name
+
+
+def test_steps_are_kept_where_a_preset_has_them(twin_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "result"
+    options = ["--out", str(out), "--keep-steps"]
+    assert main(["reconstruct", str(twin_folder), "--preset", "snk", *options]) == 0
+    report = json.loads((out / "report.json").read_text())
+    steps = report["facts"]["steps"]
+    assert set(steps) == {"chromaticity", "enhanced", "direct", "global"}
+    light = {
+        name: srgb_light(out / steps[name]["files"][0]) * steps[name]["white"]
+        for name in ("enhanced", "direct", "global")
+    }
+    assert all(len(steps[name]["files"]) == 7 for name in light)
+    sum_error = light["direct"] + light["global"] - light["enhanced"]
+    assert np.abs(sum_error[light["direct"] > 0]).max() < 1e-3 * light["enhanced"].max()
+    assert {file for step in steps.values() for file in step["files"]} <= set(report["files"])
+    assert main(["reconstruct", str(twin_folder), "--preset", "ea", *options]) == 0
+    assert [file.name for file in (out / "steps").iterdir()] == ["chromaticity.png"]
+    assert main(["reconstruct", str(twin_folder), "--preset", "ea", "--out", str(out)]) == 0
+    assert not (out / "steps").exists()
+
+
+def srgb_light(file: Path) -> NDArray[np.float32]:
+    """Linear light of a picture of 16 bits."""
+    pixels = read_image(file)[..., 0]
+    return decode_table(pixels.dtype, "srgb")[pixels]

@@ -31,7 +31,7 @@ from splitknit.io.photographs import (
 )
 
 if TYPE_CHECKING:
-    from splitknit.model import Capture
+    from splitknit.model import Capture, FloatArray
 
 _LOG = logging.getLogger(__name__)
 
@@ -175,6 +175,7 @@ def reconstruct_to_folder(
     device: Device = "cpu",
     keep: bool = False,
     strict: bool = False,
+    keep_steps: bool = False,
     settings: Settings = None,
     photographs: AllPhotographs = NO_PHOTOGRAPHS,
     progress: Progress = silent,
@@ -204,6 +205,10 @@ def reconstruct_to_folder(
         Go on where photographs that contradict each other spoil the surface of skin.
     strict
         Write nothing where a note says that something spoils the surface.
+    keep_steps
+        Write what the steps made of the photographs into steps/: their chromaticity where the
+        finger is looked for by it, and, of the thesis's presets, each white photograph enhanced,
+        its direct and its global light.
     photographs
         What is known of photographs in place of a capture folder.
 
@@ -228,7 +233,7 @@ def reconstruct_to_folder(
     from splitknit.pipeline import reconstruct
     from splitknit.presets import preset_settings
     from splitknit.report.photos import small_images
-    from splitknit.report.result import write_files
+    from splitknit.report.result import write_files, write_steps
     from splitknit.settings import override
     from splitknit.steps import one_heap
 
@@ -257,6 +262,7 @@ def reconstruct_to_folder(
             for name, band in captures[0].bands.items()
         }
         small = replace(captures[0], bands=small_bands)  # for the report
+        kept: dict[str, FloatArray] = {}
         try:
             result = reconstruct(
                 # so that its images go once they are read: 0.3 GB less at a full frame's peak
@@ -264,6 +270,7 @@ def reconstruct_to_folder(
                 preset,
                 changes,
                 lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction),
+                kept=kept if keep_steps else None,
             )
             if device_used != "cpu":  # its last digits are others'
                 result = replace(result, facts={**result.facts, "device": device_used})
@@ -275,7 +282,10 @@ def reconstruct_to_folder(
             progress("writing", 0.8)
             scaled = small.rig.camera.scale_known
             truth = read_truth(small) if small.truth is not None and scaled else None
-            facts = write_files(result, small, target, truth)
+            of_steps, files = write_steps(kept, target)
+            if keep_steps:
+                result = replace(result, facts={**result.facts, "steps": of_steps})
+            facts = write_files(result, small, target, truth, files)
         except BadInput as error:  # stages know arrays only
             raise BadInput(f"{source}: {error}") from error
     progress("done", 1.0)

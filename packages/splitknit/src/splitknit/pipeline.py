@@ -19,7 +19,7 @@ from splitknit.findings import Finding, refuse, worst_first
 from splitknit.methods import METHODS, method_for
 from splitknit.methods.photographs import diagnosed, mirror_views, on_mirror_shape, placed, prepared
 from splitknit.methods.scale import with_scale, with_working_scale
-from splitknit.model import UNKNOWN_SCALE, Capture, Reconstruction
+from splitknit.model import UNKNOWN_SCALE, Capture, FloatArray, Reconstruction
 from splitknit.photometric.uncalibrated import with_estimated_lights
 from splitknit.plausible import TOP
 from splitknit.presets import PipelineSettings, chosen_settings
@@ -35,6 +35,7 @@ def reconstruct(
     progress: Callable[[str, float], None] | None = None,
     *,
     memory: Memory | None = None,
+    kept: dict[str, FloatArray] | None = None,
 ) -> Reconstruction:
     """Reconstruct one finger.
 
@@ -49,6 +50,10 @@ def reconstruct(
     progress : called with the name of the stage and the fraction done, optional
     memory : what several cases of this very capture share, optional
         Saves time; changes nothing.
+    kept : dict, optional
+        Takes the images of those steps that the preset has and that no memory knows, linear light:
+        ``chromaticity`` (h, w, 3), reduced, and ``enhanced``, ``direct`` and ``global`` (L, h, w)
+        of the finger's window under each white light.
 
     Returns
     -------
@@ -79,7 +84,7 @@ def reconstruct(
     capture = _opened(capture, memory, mirrors=chosen.shape.source == "mirror")
     notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
     capture, of_scale = with_working_scale(capture)
-    with steps.timed_run(progress, memory) as seconds:
+    with steps.timed_run(progress, memory, kept) as seconds:
         photographs = prepared(capture, chosen)
         del capture  # `photographs` alone holds the images now, and can release them
         photographs = diagnosed(photographs, chosen)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.model import Capture, Progress
+from splitknit.model import Capture, FloatArray, Progress
 from splitknit.parameters import IN_MEMORY
 
 P = ParamSpec("P")
@@ -81,6 +81,8 @@ class _Run:
 
     progress: Progress | None
     memory: Memory | None
+    kept: dict[str, FloatArray] | None
+    """Images of steps, by name, where they are kept."""
     seconds: dict[str, float] = field(default_factory=dict)
     stage: str = ""
     """Stage under way."""
@@ -146,10 +148,14 @@ _RUN: ContextVar[_Run | None] = ContextVar("run", default=None)
 
 
 @contextmanager
-def timed_run(progress: Progress | None, memory: Memory | None) -> Iterator[dict[str, float]]:
-    """Time the steps inside, report them to `progress`, and share results by `memory`; yield the
-    seconds of stages."""
-    run = _Run(progress, memory)
+def timed_run(
+    progress: Progress | None,
+    memory: Memory | None,
+    kept: dict[str, FloatArray] | None = None,
+) -> Iterator[dict[str, float]]:
+    """Time the steps inside, report them to `progress`, share results by `memory`, and put images
+    into `kept`; yield the seconds of stages."""
+    run = _Run(progress, memory, kept)
     token = _RUN.set(run)
     try:
         yield run.seconds
@@ -162,6 +168,13 @@ def images_are_read() -> None:
     run = _RUN.get()
     if run is not None and run.memory is not None:
         run.memory.images_are_read()
+
+
+def keep(name: str, make: Callable[[], FloatArray]) -> None:
+    """Keep images (L, h, w), or a picture (h, w, 3), of a step, where the run keeps them."""
+    run = _RUN.get()
+    if run is not None and run.kept is not None:
+        run.kept[name] = make()
 
 
 def report(stage: str, within: float) -> None:

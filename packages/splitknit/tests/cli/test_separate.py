@@ -12,6 +12,7 @@ import pytest
 from checkerboards import checkerboard_patterns
 from splitknit.cli.main import main
 from splitknit.io.images import read_image, write_float_tiff, write_image
+from splitknit.separation.direct import direct_light
 from written_files import read_light_tiff
 
 SIZE = (40, 50)
@@ -91,6 +92,43 @@ def test_checkerboards_of_a_folder_give_direct_and_global_light(boards, tmp_path
     assert run(boards, "--out", out) == 0  # ours may be replaced; same input, same bytes
     assert {name: (out / name).read_bytes() for name in first} == first
     assert "direct in the median" in capsys.readouterr().out
+
+
+def test_the_network_separates_one_photograph(tmp_path, capsys):
+    rows, columns = np.mgrid[:96, :96]
+    grey = 0.4 + 0.1 * np.sin(rows / 3) * np.cos(columns / 40)
+    mask = np.zeros(grey.shape)
+    mask[8:90, 4:80] = 1
+    colour = grey[..., None] * np.array([1.0, 0.7, 0.5])
+    for name, light in (("grey", grey), ("colour", colour)):
+        photograph = write(tmp_path / name, {"finger.png": light, "mask.png": mask})
+        out = tmp_path / f"out_{name}"
+        assert run(photograph, "--out", out, "--method", "network") == 0
+        direct, metadata = read_light_tiff(out / "direct.tiff")
+        global_, _ = read_light_tiff(out / "global.tiff")
+        inside = mask > 0
+        assert direct.shape == light.shape
+        assert np.isnan(direct[~inside]).all()
+        assert (direct[inside] >= 0).all()
+        assert (global_[inside] >= -1e-6).all()
+        assert np.abs((direct + global_ - light)[inside]).max() < 2 * STEP
+        assert metadata["settings"]["separate"]["method"] == "network"
+        if name == "grey":
+            expected = direct_light(np.where(inside, light, 0)[None])[0]
+        else:
+            shown = np.where(inside[..., None], light, 0)
+            expected = np.moveaxis(direct_light(np.moveaxis(shown, -1, 0)[None])[0], 0, -1)
+        assert np.abs(direct - expected)[inside].max() < 1e-3
+    assert "1 image separated by network" in capsys.readouterr().out
+
+
+def test_the_network_takes_one_photograph_and_no_patterns(boards, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert "takes one photograph, but there are 25 (board_0_0" in refusal(
+        capsys, out, boards, "--method", "network"
+    )
+    words = refusal(capsys, out, boards, "--method", "network", "--alpha", 0.5)
+    assert "--alpha is of patterns" in words
 
 
 def test_patterns_are_estimated_or_read_and_a_mask_is_respected(boards, tmp_path):

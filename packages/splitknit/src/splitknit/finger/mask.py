@@ -57,6 +57,7 @@ from splitknit.finger.regions import (
 from splitknit.imaging.geometry import wide_blur
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked
+from splitknit.steps import keep
 
 _NO_FINGER = (
     "no finger was found in the white images: nothing stands out from the background in colour or"
@@ -277,7 +278,9 @@ def _seed(
         blur(np.sqrt(np.clip(brightness / ceiling, 0.0, 1.0)).astype(np.float32), sigma)[..., None]
     ]
     if image.ndim == 3:
-        candidates.append(blur(_chromaticity(image), sigma))
+        chromaticity = _chromaticity(image)
+        keep("chromaticity", lambda: chromaticity)
+        candidates.append(blur(chromaticity, sigma))
     best = np.zeros(brightness.shape, dtype=np.bool_)
     clearest = 0.0
     for features in candidates[-1:] if colour_alone else candidates:

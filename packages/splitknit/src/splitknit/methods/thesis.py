@@ -37,7 +37,7 @@ from splitknit.presets import (
 )
 from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.skin.grid import Slopes
-from splitknit.steps import shared, step
+from splitknit.steps import keep, shared, step
 
 
 def ea(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
@@ -127,9 +127,13 @@ def visible_normals(white: FingerBand, p: Photometry) -> tuple[FloatArray, Float
             images, white.capture.rig, white.band, white.finger.mask[white.finger.window]
         )
     if p.enhance.clahe:
-        images = _equalised(images, white, p.enhance)
+        enhanced = images = _equalised(images, white, p.enhance)
+        keep("enhanced", lambda: enhanced)
     if p.direct.method == "network":
-        images = _direct_images(images, white, p.direct)
+        whole, direct = images, _direct_images(images, white, p.direct)
+        keep("direct", lambda: direct)
+        keep("global", lambda: whole * white.inside - direct)
+        images = direct
     return distant_normals(images, _lights(white, p.enhance), white.inside, p.normals)
 
 

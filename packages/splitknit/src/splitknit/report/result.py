@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 
 from splitknit.findings import SEVERITY_WORDS
 from splitknit.finger.ridges import surface_print
+from splitknit.imaging.band import srgb_code
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.polarised import picture_bytes
-from splitknit.io.atomic import atomic_folder, write_file
-from splitknit.io.images import write_float_tiff
+from splitknit.io.atomic import atomic_folder, make_folder, write_file
+from splitknit.io.images import write_float_tiff, write_image
 from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import plain_json, provenance
@@ -37,7 +38,7 @@ from splitknit.io.results import (
     write_normals,
     write_picture,
 )
-from splitknit.model import Capture, Reconstruction
+from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.report import figures, template
 from splitknit.report.figures import Truth
 from splitknit.report.parameters import LONGEST_PX
@@ -421,10 +422,34 @@ def write_results(
         return write_files(result, capture, target, truth)
 
 
+def write_steps(
+    kept: Mapping[str, FloatArray], target: Path
+) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """Write images of steps (:func:`splitknit.reconstruct`, `kept`) into ``steps/``, 16 bits in the
+    sRGB code; return of each step its files and the linear light that is white, and all files."""
+    facts: dict[str, dict[str, Any]] = {}
+    for name, images in kept.items():
+        white = max(float(images.max()), 1e-12)
+        of_lights = name != "chromaticity"
+        make_folder(target / "steps")
+        files = []
+        for number, image in enumerate(images if of_lights else [images]):
+            file = f"steps/{name}_{number}.png" if of_lights else f"steps/{name}.png"
+            code = 65535 * srgb_code(np.clip(image / white, 0.0, 1.0))
+            write_image(target / file, np.rint(code).astype(np.uint16))
+            files.append(file)
+        facts[name] = {"files": files, "white": white}
+    return facts, [file for step in facts.values() for file in step["files"]]
+
+
 def write_files(
-    result: Reconstruction, capture: Capture | None, target: Path, truth: Truth | None = None
+    result: Reconstruction,
+    capture: Capture | None,
+    target: Path,
+    truth: Truth | None = None,
+    others: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Write the files of :func:`write_results` into an existing folder."""
+    """Write the files of :func:`write_results` into an existing folder; `others` are there."""
     heights = result.unit.heights(result.height_mm)
     unit, pitch = ("mm", result.pitch_mm) if result.unit.known else ("pixel", None)
     mesh = FILES[0] if is_finger(result) else "surface.ply"
@@ -465,7 +490,7 @@ def write_files(
         write_picture(target / "preview.png", report.above, origin)
         for job in jobs:
             job.result()
-    return report.write(target, files)
+    return report.write(target, [*files, *others])
 
 
 def preview_html(result: Reconstruction) -> str:

@@ -36,6 +36,7 @@ from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import BoolArray, FloatArray, Progress
 from splitknit.separation.binary import checkerboard
+from splitknit.separation.direct import direct_light
 from splitknit.separation.parameters import REPORTED_LEVEL, RIDGES_A_FINGER
 from splitknit.separation.stacks import Separation, estimate_patterns
 
@@ -55,6 +56,7 @@ def separate_to_folder(
     folder: Path,
     out: Path,
     *,
+    method: str,
     alpha: float,
     dark: float,
     patterns: str | None,
@@ -65,9 +67,9 @@ def separate_to_folder(
     """Separate the images in `folder`, write all results into `out`, return the facts of
     ``report.json`` and more.
 
-    `alpha`, `dark`, `check_px`: of :func:`checkerboard`; `patterns`: a folder of state images, or
-    ``estimate``. Raises BadInput naming the file or the folder at fault; nothing is left
-    half-written.
+    `method`: ``checkerboard`` or ``network``; `alpha`, `dark`, `check_px`: of
+    :func:`checkerboard`; `patterns`: a folder of state images, or ``estimate``. Raises BadInput
+    naming the file or the folder at fault; nothing is left half-written.
     """
     if patterns is None and check_px is not None:  # of use only with states
         patterns = ESTIMATE
@@ -88,7 +90,10 @@ def separate_to_folder(
             states = light.patterns
             if patterns == ESTIMATE:
                 states = estimate_patterns(light.stack, **common)
-            parts = checkerboard(light.stack, patterns=states, **model, **common)
+            if method == "network":
+                parts = _by_network(light)
+            else:
+                parts = checkerboard(light.stack, patterns=states, **model, **common)
         except BadInput as error:  # checks know the images' numbers only
             message = re.sub(
                 r"image (\d+)",
@@ -97,17 +102,17 @@ def separate_to_folder(
             )
             raise BadInput(f"{folder}: {message}") from error
         progress("writing", 0.8)
-        choices = {
-            **model,
-            "encoding": encoding,
-            "patterns": "given" if states_folder else patterns,
-        }
+        choices: dict[str, Any] = {"encoding": encoding}
+        if method == "network":
+            choices["method"] = method
+        else:
+            choices |= {**model, "patterns": "given" if states_folder else patterns}
         origin = provenance({"separate": choices}, light.hashes)
         for name, part in (("direct", parts.direct), ("global", parts.global_)):
             write_float_tiff(target / f"{name}.tiff", part, LINEAR, origin)
             write_image(target / f"{name}.png", _light_picture(part))
         files = ["direct.tiff", "global.tiff", "direct.png", "global.png", "report.json"]
-        facts = {**origin, **_figures(parts, light), "files": files}
+        facts = {**origin, **_figures(parts, light, method), "files": files}
         if patterns is not None and check_px is None:
             facts["findings"].append(NO_CHECK_PX.facts)
         (target / "report.json").write_text(json_text(facts), encoding="utf-8")
@@ -183,7 +188,23 @@ def separate_polarised_folders(
     return {**facts, "out": str(out)}
 
 
-def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
+def _by_network(light: PatternLight) -> Separation:
+    """The one photograph of a folder, separated by the network of the thesis."""
+    names = ", ".join(light.names[:3])
+    count = len(light.names)
+    require(count == 1, f"`method` network takes one photograph, but there are {count} ({names}).")
+    white = light.stack[0]
+    inside = np.ones(white.shape[:2], np.bool_) if light.mask is None else light.mask
+    colours = np.atleast_3d(white)
+    images = np.moveaxis(np.where(inside[..., None], colours, 0.0), -1, 0)
+    if len(images) == 3:
+        images = images[None]
+    direct = np.moveaxis(direct_light(images).reshape(-1, *inside.shape), 0, -1)
+    direct = np.where(inside[..., None], direct, np.nan).reshape(white.shape)
+    return Separation(direct, white - direct)
+
+
+def _figures(parts: Separation, light: PatternLight, method: str) -> dict[str, Any]:
     total = parts.white
     grey = total if total.ndim == 2 else total.mean(axis=-1)
     lit = grey > REPORTED_LEVEL * np.nanquantile(grey, 0.999)  # NaN is not
@@ -195,7 +216,7 @@ def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
         " and the black image.",
     )
     return {
-        "method": "checkerboard",
+        "method": method,
         "images": list(light.names),
         "image_size": list(light.stack.shape[1:3]),
         "direct_share": float(np.median(parts.direct[lit] / np.maximum(total[lit], 1e-9))),

@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from splitknit.arguments import AnyPath, Encoding, Progress, checked, silent, text_of
+from splitknit.arguments import (
+    AnyPath,
+    Encoding,
+    Progress,
+    checked,
+    count,
+    refuse_given,
+    silent,
+    text_of,
+)
 from splitknit.errors import require
 
 
@@ -33,9 +42,10 @@ class Separated:
                 ]
             )
         direct = f"{100 * facts['direct_share']:.0f} % of the light is direct in the median"
+        images = count(len(facts["images"]), "image")
         return text_of(
             [
-                f"{len(facts['images'])} images separated by {facts['method']}: {direct}.",
+                f"{images} separated by {facts['method']}: {direct}.",
                 f"Written to {facts['out']}: {', '.join(facts['files'])}.",
                 *notes,
             ]
@@ -47,6 +57,7 @@ def separate(
     folders: Sequence[AnyPath],
     *,
     out: AnyPath,
+    method: Literal["checkerboard", "network"] = "checkerboard",
     alpha: float | None = None,
     dark: float | None = None,
     patterns: str | None = None,
@@ -63,6 +74,9 @@ def separate(
         photographs through parallel and crossed films: specular and diffuse light.
     out
         Folder to write the results into.
+    method
+        checkerboard; or network: the folder holds one photograph of skin (and `black`, `mask`),
+        which the network of the thesis separates, best at 14 to 38 pixels/mm.
     alpha
         Fraction of the pattern that is lit (default: 0.5).
     dark
@@ -94,10 +108,15 @@ def separate(
 
     places = [Path(folder) for folder in folders]
     target = Path(out)
+    of_patterns = {"alpha": alpha, "dark": dark, "patterns": patterns, "check_px": check_px}
+    if method == "network":
+        refuse_given("is of patterns; `method` network takes none.", **of_patterns)
+        require(len(places) == 1, "`method` network takes one folder, with one photograph.")
     if len(places) == 1:
         facts = separate_to_folder(
             places[0],
             target,
+            method=method,
             alpha=0.5 if alpha is None else alpha,
             dark=0.0 if dark is None else dark,
             patterns=patterns,
@@ -107,9 +126,7 @@ def separate(
         )
         return Separated(facts)
     require(
-        len(places) == 3
-        and str(places[0]) == "polarised"
-        and {alpha, dark, patterns, check_px} == {None},
+        len(places) == 3 and str(places[0]) == "polarised" and set(of_patterns.values()) == {None},
         "name one folder of images under patterns, or 'polarised PARALLEL CROSSED', with `out` and"
         " `encoding` alone.",
     )
