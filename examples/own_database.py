@@ -1,10 +1,11 @@
 """Templates as rows of a program's own database, searched in memory: it keeps no pictures.
 
-    pip install sqlalchemy psycopg
+    pip install sqlalchemy "psycopg[binary]"
     python examples/own_database.py postgresql+psycopg://shop@localhost/shop
     python examples/own_database.py sqlite://  # in memory
 
 Two prints of simulated fingers are enrolled as rows, and a third press of one of them is searched.
+Run on PostgreSQL 15.18 (SQLAlchemy 2.1.9, psycopg 3.3.9) and SQLite.
 Make `Candidates` once, when the program starts: the first search among many makes an index.
 """
 

@@ -59,6 +59,10 @@ CODES: dict[str, Code] = {
     "shadow-out-of-view": Code(
         "A shadow of the nail leaves the picture.", "Use a shorter nail or move it to the middle."
     ),
+    "second-ball": Code(
+        "A second ball stands out in the photographs; the larger was used.",
+        "Cover it, or give the ball's outline (`--mask`).",
+    ),
     "unchecked-mask": Code(
         "The ball's rim is not found near its mask, so that nothing checks the mask.",
         "See that the mask ends at the rim.",

@@ -10,6 +10,7 @@ from splitknit_rig.calibration.sphere import (
     ball_of_mask,
     chrome_directions,
     find_ball,
+    find_balls,
     grey_directions,
     rim_of,
 )
@@ -76,6 +77,21 @@ def test_the_outline_is_found_in_a_mask_and_in_an_image():
     ):
         assert (outline.column, outline.row) == pytest.approx((BALL.column, BALL.row), abs=0.2)
         assert outline.radius_px == pytest.approx(BALL.radius_px, abs=0.5)
+
+
+@pytest.mark.parametrize(("half_side_px", "balls"), [(0, 2), (18, 1)])
+def test_a_second_ball_is_found_and_a_cube_is_none(half_side_px, balls):
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1] + 80]
+    beside = np.hypot(columns - 190, rows - 40) < 25
+    if half_side_px:
+        beside = np.maximum(abs(columns - 190), abs(rows - 40)) < half_side_px
+    stack = np.pad(shaded(lights(), np.full(6, 0.8)), [(0, 0), (0, 0), (0, 80)])
+    stack[:, beside] = 0.4
+    outlines = find_balls(stack + 0.02)
+    assert len(outlines) == balls
+    assert outlines[0].column == pytest.approx(BALL.column, abs=0.5)
+    if balls == 2:
+        assert (outlines[1].column, outlines[1].radius_px) == pytest.approx((190, 25), abs=0.5)
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 1.04), (5.0, -2.0, 1.0), (-3.0, 4.0, 0.97)])

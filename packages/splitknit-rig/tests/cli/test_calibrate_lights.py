@@ -336,6 +336,26 @@ def test_the_lights_of_a_ball_serve_to_reconstruct_its_surface(
     assert "not a list of lights" in refused(capsys, *words[:7], tmp_path / "words.txt")
 
 
+def test_a_second_ball_is_reported(capsys, tmp_path, ball):
+    photographs, mask, _ = ball
+    rows, columns = np.nonzero(cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE))
+    box = slice(rows.min(), rows.max()), slice(columns.min(), columns.max())
+    for file in photographs.iterdir():
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        small = cv2.resize(image[box], None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
+        wide = np.pad(image, [(0, 0), (0, small.shape[1])])
+        wide[: small.shape[0], -small.shape[1] :] = small
+        cv2.imwrite(str(tmp_path / file.name), wide)
+    words = ("--sphere", "grey", "--images")
+    single = facts_with(capsys, *words, photographs)
+    double = facts_with(capsys, *words, tmp_path)
+    assert [finding["code"] for finding in single["findings"]] == ["assumed-encoding"]
+    (finding,) = (each for each in double["findings"] if each["code"] == "second-ball")
+    assert "a second ball stands out at column " in finding["message"]
+    for led, known in zip(double["leds"], single["leds"], strict=True):
+        assert math.degrees(math.dist(led["direction"], known["direction"])) < 0.5
+
+
 def test_a_misplaced_mask_is_replaced_by_the_rim_of_the_ball(capsys, tmp_path, ball):
     photographs, mask, _ = ball
     words = ("--sphere", "grey", "--images", photographs, "--mask")

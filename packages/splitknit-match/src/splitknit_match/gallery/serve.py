@@ -368,7 +368,7 @@ def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
         if isinstance(finger, Pixels) and result.a.acquired:
             printed = pressed_print(PrintFile(finger.image, finger.resolution_ppi, {}))
             quality = round(measured(printed, enhance(printed)).score)
-        template = base64.b64encode(result.payload or b"").decode("ascii")
+        template = base64.b64encode(result.payload).decode("ascii")
         return {
             "acquired": result.a.acquired,
             "area_mm2": result.a.area_mm2,

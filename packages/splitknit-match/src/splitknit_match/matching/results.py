@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from splitknit.arguments import text_of
@@ -168,7 +168,7 @@ class TemplateMade:
     a: ComparedSide
     template: TemplateFile | None
     """The file, where one was written."""
-    payload: bytes | None = field(default=None, repr=False)
+    payload: bytes = field(default=b"", repr=False)
     """What a `.skt` file holds, which `match`, `identify` and `enroll` take; no bytes for a failure
     to acquire."""
     findings: tuple[Finding, ...] = ()
@@ -177,7 +177,7 @@ class TemplateMade:
     @property
     def facts(self) -> dict[str, Any]:
         """The same as plain JSON, without the template itself."""
-        return dict(known_json(replace(self, payload=None)))
+        return {name: known_json(getattr(self, name)) for name in ("a", "template", "findings")}
 
     def __str__(self) -> str:
         lines = [f"Please note: {finding}" for finding in self.findings]

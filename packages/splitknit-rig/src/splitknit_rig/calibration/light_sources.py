@@ -55,7 +55,7 @@ from splitknit_rig.calibration.sphere import (
     Ball,
     ball_of_mask,
     chrome_directions,
-    find_ball,
+    find_balls,
     grey_directions,
     rim_of,
 )
@@ -290,9 +290,9 @@ def lights_of_ball(
         )
     stack, digests = read_stack(paths, base.camera.image_size, encoding or "linear", upright=True)
     hashes = {file.relative_to(folder).as_posix(): digest for file, digest in digests.items()}
-    findings: list[Finding] = []
     if mask is None:
-        ball = find_ball(stack)
+        ball, *others = find_balls(stack)
+        findings = [_second_ball(ball, second) for second in others[:1]]
     else:
         ball, findings = _ball_within(mask, stack, kind)
         hashes[mask.name] = file_hash(mask)
@@ -428,6 +428,15 @@ def _photographs(folder: Path) -> list[tuple[str, int, Path]]:
         ("white", k, file)
         for k, file in enumerate(sorted(files, key=lambda file: natural_order(file.name)))
     ]
+
+
+def _second_ball(ball: Ball, second: Ball) -> Finding:
+    places = [f"column {each.column:.0f}, row {each.row:.0f}" for each in (ball, second)]
+    words = (
+        f"a second ball stands out at {places[1]}: the lights are those of the one at {places[0]},"
+        " as it is larger; cover the second, or give the outline with `mask`."
+    )
+    return Finding("second-ball", words)
 
 
 def _ball_within(mask: Path, stack: FloatArray, kind: str) -> tuple[Ball, list[Finding]]:

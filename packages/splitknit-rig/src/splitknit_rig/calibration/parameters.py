@@ -544,6 +544,18 @@ Unit: none. Chosen on: speed. Range: not known.
 
 # --- sphere
 
+MIN_BALL_PX = 8.5
+"""Smallest radius of a ball that is found without a mask.
+
+Unit: px. Chosen on: not known. Range: not known.
+"""
+
+SECOND_BALL_AREA = 0.25
+"""Fraction of the largest ball's area from which another one is reported.
+
+Unit: fraction. Chosen on: judgement (half the radius). Range: not known.
+"""
+
 RIM_RAYS = 360
 """Rays from a ball's middle along which its rim is looked for.
 

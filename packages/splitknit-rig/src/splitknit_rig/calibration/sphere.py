@@ -18,7 +18,14 @@ import numpy as np
 from splitknit.checks import check_mask, check_stack
 from splitknit.errors import require
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_rig.calibration.parameters import MIN_RIM_PX, RIM_AGREEMENT, RIM_RAYS, RIM_REACH
+from splitknit_rig.calibration.parameters import (
+    MIN_BALL_PX,
+    MIN_RIM_PX,
+    RIM_AGREEMENT,
+    RIM_RAYS,
+    RIM_REACH,
+    SECOND_BALL_AREA,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +74,13 @@ def ball_of_mask(mask: Any) -> Ball:
 
 
 def find_ball(stack: Any) -> Ball:
-    """Find the ball's outline in photographs (L, H, W) against a dark background, or raise
-    BadInput."""
+    """Largest ball of :func:`find_balls`."""
+    return find_balls(stack)[0]
+
+
+def find_balls(stack: Any) -> list[Ball]:
+    """Outlines of the balls in photographs (L, H, W) against a dark background, the largest first
+    and those much smaller left out, or raise BadInput."""
     images = check_stack(stack, least=1, name="the photographs of the ball")
     bright = images.max(axis=0)
     top = float(np.percentile(bright, 99.5))
@@ -77,17 +89,29 @@ def find_ball(stack: Any) -> Ball:
     grey = np.rint(255 * np.sqrt(level)).astype(np.uint8)
     _, split = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(split, connectivity=8)
-    require(count > 1, "no ball was found in the photographs; give its outline with `mask`.")
-    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    ball, off = _ball_in(
-        labels == largest, "no ball was found in the photographs; give its outline with `mask`."
-    )
-    round_enough = float(np.median(off)) < 0.03 * (ball.radius_px - 0.5) and ball.radius_px >= 8.5
+    missing = "no ball was found in the photographs; give its outline with `mask`."
+    require(count > 1, missing)
+    areas = stats[:, cv2.CC_STAT_AREA]
+    largest, *others = 1 + np.argsort(-areas[1:], kind="stable")
+    ball, off = _ball_in(labels == largest, missing)
     require(
-        round_enough,
+        _is_round(ball, off),
         "nothing round stands out in the photographs; give the ball's outline with `mask`.",
     )
-    return ball
+    balls = [ball]
+    smallest = max(SECOND_BALL_AREA * areas[largest], np.pi * MIN_BALL_PX**2)
+    for region in others:
+        if areas[region] < smallest:
+            break
+        second, off = _ball_in(labels == region, missing)
+        if _is_round(second, off):
+            balls.append(second)
+    return balls
+
+
+def _is_round(ball: Ball, off: Array) -> bool:
+    """Whether a circle's outline, whose pixels lie `off` it (N,), can be a ball's."""
+    return float(np.median(off)) < 0.03 * (ball.radius_px - 0.5) and ball.radius_px >= MIN_BALL_PX
 
 
 def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
