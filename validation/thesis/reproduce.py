@@ -55,7 +55,7 @@ class Figure:
     shows: str
     thesis: str  # what it states in numbers
     claims: tuple[str, ...]
-    part: str  # of `run.py`, made here; else `command` makes it
+    part: str  # of `run.py`, or `steps` of one capture, made here; else `command` makes it
     pictures: tuple[str, ...]  # that the part writes
     command: str
 
@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     size = Size(options.people, options.sessions, named)
     needed = [
         name
-        for name in ("cases", "fusion", "figures")
+        for name in ("steps", "cases", "fusion", "figures")
         if any(figure.part == name for figure in wanted)
     ]
     examined = (
@@ -192,6 +192,13 @@ def _steps(
         "--workers",
         str(options.jobs),
     ]
+    if "steps" in needed:
+        first = (size.fingers or "right_index").split(",")[0]
+        capture = str(options.out / "people" / "S01" / "session_1" / first)
+        steps = str(options.out / "steps")
+        yield [*verb, "reconstruct", capture, "--preset", "snk", "--keep-steps", "--out", steps]
+    if set(needed) == {"steps"}:
+        return
     cluster = (
         ["--scheduler", options.scheduler] if options.scheduler else ["--jobs", str(options.jobs)]
     )
@@ -211,7 +218,7 @@ def _steps(
         str(SEED),
         *cluster,
     ]
-    for part in needed:
+    for part in (name for name in needed if name != "steps"):
         yield [
             sys.executable,
             str(HERE / "run.py"),
@@ -321,8 +328,9 @@ def _section(
 
 
 def _picture(out: Path, name: str) -> str:
-    file = out / "tables" / name
-    if not file.is_file():
+    places = (out / "tables" / name, out / "steps" / "steps" / name)
+    file = next((place for place in places if place.is_file()), None)
+    if file is None:
         return ""
     shutil.copyfile(file, out / name)
     return f'<img src="{name}" alt="{name}">'
