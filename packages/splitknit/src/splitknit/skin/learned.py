@@ -252,8 +252,8 @@ def relief_by_network(
 ) -> ReliefEstimate:
     """Relief as the network estimates it on the fine grid.
 
-    `light`: of the white band on `smooth_mm` (h, w), the shape without the relief; its memory is
-    used.
+    `light`: of the white band on `smooth_mm` (h, w), the shape without the relief; its fields are
+    turned in place.
     """
     return relief_of_output(network(light.fields), light.level[:2] * grid.mask, grid, smooth_mm)
 
