@@ -81,8 +81,8 @@ its ``--drawn 8 --seed 1``) and four simulated ones. Range: not known.
 
 RED_SHADING = (0.15, 0.4)
 """Shading by ridges in red over that in blue, where it says nothing of the ridges' height, and
-where all. Refracted light gives -0.1 to 0.2, diffused light 0.25 to 0.35, the simulator's 0.37 to
-0.48.
+where all. Refracted light gave -0.1 to 0.2, diffused light 0.25 to 0.35, the simulator 0.37 to
+0.48; skin that scatters little gives less.
 
 Unit: none. Chosen on: the same fingers. Range: not known.
 """
