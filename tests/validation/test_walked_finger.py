@@ -282,3 +282,11 @@ def test_missing_numba_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "numba", None)
     with pytest.raises(BadInput, match="the dependency group 'reference'"):
         finger.render_finger(FLAT, LEDS, "red", EVEN)
+
+
+def test_drawn_fingers_have_all_boundaries_and_are_repeated() -> None:
+    make: Any = importlib.import_module("make")
+    cases = make.drawn_cases(5, 7)
+    assert [case.optics.spread for case in cases] == [0.0, 0.25, 0.5, 0.75, 1.0]
+    assert cases == make.drawn_cases(5, 7) and cases != make.drawn_cases(5, 8)
+    assert all(case.films is None and 25 <= case.ridge_um <= 90 for case in cases)

@@ -3,6 +3,7 @@
     python validation/path_traced/make.py --out DIR              # a run that was stopped goes on
     python validation/path_traced/make.py --out DIR --polarised  # behind linear films
     python validation/path_traced/make.py --out DIR --names third_matt no_ridges  # some of them
+    python validation/path_traced/make.py --out DIR --drawn 10 --seed 7  # small, of drawn optics
 
 Needs the group ``reference`` (numba). Each finger becomes a capture folder with ``truth.npz`` and
 ``info.json``, which has all optics and the noise of the walks; of polarised fingers these lie
@@ -25,6 +26,7 @@ import numpy as np
 from walked_finger import (
     FingerLight,
     FingerOptics,
+    draw_optics,
     photograph_finger,
     walk_finger,
     without_walk_noise,
@@ -110,15 +112,15 @@ CASES = (
 
 
 @dataclass(frozen=True, slots=True)
-class PolarisedCase:
-    """One finger behind films, cut out of the picture."""
+class CutCase:
+    """One finger, behind films if any, cut out of the picture."""
 
     name: str
     seed: int
     pattern: str
     ridge_um: float
     optics: FingerOptics
-    films: FilmSettings
+    films: FilmSettings | None
     ridges: bool = True
     moved_mm: tuple[float, float] = (0.0, 0.0)
     as_walked: str = ""
@@ -140,7 +142,7 @@ def _films(
     return FilmSettings("analyser", axis_deg, off_deg, extinction, colours, kept)
 
 
-_P01 = PolarisedCase(
+_P01 = CutCase(
     "p01",
     9201,
     "whorl",
@@ -153,7 +155,7 @@ _P01 = PolarisedCase(
 )
 _WITHOUT_SIDE_LIGHTS = (
     _P01,
-    PolarisedCase(
+    CutCase(
         "p02",
         9202,
         "loop",
@@ -161,7 +163,7 @@ _WITHOUT_SIDE_LIGHTS = (
         FingerOptics(0.0, 0.8, 0.15, 0.012, 0.008, 0.15, 1.5, 0.13, 1.0, 0.005),
         _films(0.20, 90, 500, 0.5),
     ),
-    PolarisedCase(
+    CutCase(
         "p03",
         9203,
         "loop",
@@ -169,7 +171,7 @@ _WITHOUT_SIDE_LIGHTS = (
         FingerOptics(0.0, 1.1, 0.10, 0.0015, 0.005, 0.10, 1.0, 0.45, 1.0, 0.004),
         _films(0.40, 45, 2000, 1.0),
     ),
-    PolarisedCase(
+    CutCase(
         "p04",
         9204,
         "whorl",
@@ -177,7 +179,7 @@ _WITHOUT_SIDE_LIGHTS = (
         FingerOptics(0.0, 0.7, 0.15, 0.003, 0.008, 0.15, 0.8, 0.20, 1.0, 0.004),
         _films(0.10, 20, 5000, 0.3),
     ),
-    PolarisedCase(
+    CutCase(
         "p05",
         9205,
         "loop",
@@ -186,7 +188,7 @@ _WITHOUT_SIDE_LIGHTS = (
         _films(0.25, 0, 1000, 0.5),
         ridges=False,
     ),
-    PolarisedCase(
+    CutCase(
         "p06",
         9206,
         "loop",
@@ -194,7 +196,7 @@ _WITHOUT_SIDE_LIGHTS = (
         FingerOptics(THIRD, 1.0, 0.20, 0.002, 0.004, 0.15, 1.0, 0.50, 1.0, 0.005),
         _films(0.0, 60, 300, 1.0, 0.82, 0.85, 0.78),
     ),
-    PolarisedCase(
+    CutCase(
         "p07",
         9207,
         "whorl",
@@ -202,7 +204,7 @@ _WITHOUT_SIDE_LIGHTS = (
         FingerOptics(0.0, 0.8, 0.12, 0.002, 0.007, 0.15, 1.2, 0.36, 1.0, 0.004),
         _films(0.30, -30, 1000, 0.5),
     ),
-    PolarisedCase(
+    CutCase(
         "p08",
         9208,
         "loop",
@@ -218,8 +220,36 @@ POLARISED = (
     replace(_P01, name="p01_motion", moved_mm=(0.15, -0.13), as_walked="p01"),
     *(replace(case, name=f"{case.name}_side", side_lights=7) for case in _WITHOUT_SIDE_LIGHTS),
 )
+RIDGES_UM = (25.0, 90.0)
+"""Heights of ridges of drawn cases."""
+DRAWN_PX, DRAWN_MM = (310, 400), 9.6
+"""Rows and columns of their pictures at scale 0.5, and the finger's width."""
 OVERSAMPLING = 3
 """Pixels of the reflecting skin along each side of one of the camera's."""
+
+
+def drawn_cases(count: int, seed: int) -> tuple[CutCase, ...]:
+    """Fingers of drawn optics and ridge heights, without films; the spread of entering light goes
+    from 0 to 1."""
+    cases = []
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        ridge_um = round(float(rng.uniform(*RIDGES_UM)), 1)
+        optics = replace(draw_optics(rng), spread=number / max(count - 1, 1))
+        pattern = ("loop", "whorl", "arch")[number % 3]
+        cases.append(
+            CutCase(
+                f"drawn_{seed}_{number}",
+                100 * seed + number,
+                pattern,
+                ridge_um,
+                optics,
+                None,
+                size_px=DRAWN_PX,
+                width_mm=DRAWN_MM,
+            )
+        )
+    return tuple(cases)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -233,20 +263,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--walks", type=float, default=16.0, help="for each pixel and channel")
     parser.add_argument("--threads", type=int, default=2, help="the result does not depend on it")
     parser.add_argument("--polarised", action="store_true", help="fingers behind films")
+    parser.add_argument("--drawn", type=int, help="this many small fingers of drawn optics")
+    parser.add_argument("--seed", type=int, default=0, help="of drawn fingers")
     parser.add_argument("--names", nargs="+", help="which of them")
     options = parser.parse_args(arguments)
     try:
-        known = {case.name: case for case in (POLARISED if options.polarised else CASES)}
+        cases: Sequence[Case | CutCase] = POLARISED if options.polarised else CASES
+        if options.drawn:
+            cases = drawn_cases(options.drawn, options.seed)
+        known = {case.name: case for case in cases}
         names = options.names or list(known)
         require(
             set(names) <= set(known),
             f"--names are some of {', '.join(known)}, not {', '.join(names)}.",
         )
         for case in (known[name] for name in names):
-            if isinstance(case, PolarisedCase):
+            if isinstance(case, CutCase):
                 if not (options.out / f"{case.name}_info.json").exists():
-                    make_polarised(
-                        case, options.out, options.scale or 0.5, options.walks, options.threads
+                    make_cut(
+                        case,
+                        options.out,
+                        options.scale or (0.5 if case.films else 0.3),
+                        options.walks,
+                        options.threads,
                     )
             elif not (options.out / case.name / "info.json").exists():
                 make(
@@ -299,10 +338,8 @@ def make(case: Case, folder: Path, scale: float, walks: float, threads: int) -> 
     )
 
 
-def make_polarised(
-    case: PolarisedCase, out: Path, scale: float, walks: float, threads: int
-) -> None:
-    """Photograph one finger behind films; write its folder, and truth and info beside it."""
+def make_cut(case: CutCase, out: Path, scale: float, walks: float, threads: int) -> None:
+    """Photograph one finger that is cut out; write its folder, and truth and info beside it."""
     started = time.perf_counter()
     rows, columns = case.size_px
     size = round(rows * 2 * scale), round(columns * 2 * scale)
@@ -313,9 +350,12 @@ def make_polarised(
     )
     finger = draw_finger(case.seed, case.pattern)
     width = min(finger.shape.width_mm, case.width_mm)
+    thickness = finger.shape.thickness_mm
+    if case.films is None:
+        thickness = min(thickness, width)
     finger = replace(
         finger,
-        shape=replace(finger.shape, width_mm=width),
+        shape=replace(finger.shape, width_mm=width, thickness_mm=thickness),
         skin=replace(finger.skin, ridge_depth_um=case.ridge_um),
     )
     settings = TwinSettings(
@@ -373,7 +413,7 @@ def make_polarised(
     print(f"{case.name}: {time.perf_counter() - started:.0f} s", flush=True)
 
 
-def _walked(case: PolarisedCase, out: Path, walk: Callable[[], FingerLight]) -> FingerLight:
+def _walked(case: CutCase, out: Path, walk: Callable[[], FingerLight]) -> FingerLight:
     """The light of a case, kept in a file that cases share."""
     kept = out / f".{case.as_walked or case.name}_light.npz"
     parts = ("diffuse", "once")

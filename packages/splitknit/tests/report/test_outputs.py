@@ -147,3 +147,13 @@ def test_a_result_without_uncertainty_has_no_such_array(tmp_path):
     write_results(replace(result, uncertainty_um=None), capture_of(result), tmp_path / "out")
     assert "uncertainty_um" not in read_npz(tmp_path / "out" / "height.npz")
     assert "Uncertainty of the relief" not in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(("relief_by", "stated"), [("network", True), ("polarised", False)])
+def test_the_page_states_the_gain_of_modelled_ridges(tmp_path, relief_by, stated):
+    result, _ = finger()
+    optics = {"relief_by": relief_by, "gain_uncertainty": 0.41}
+    result = replace(result, facts={**result.facts, "optics": optics})
+    write_results(result, capture_of(result), tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert ("whose standard deviation is 41 %" in page) == stated

@@ -8,6 +8,7 @@ import pytest
 
 from skin_scene import make_scene
 from splitknit.imaging.band import bin_mean
+from splitknit.imaging.geometry import height_gradients
 from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.learned import (
     COUNT,
@@ -16,9 +17,20 @@ from splitknit.skin.learned import (
     can_learn,
     features,
     relief_by_network,
+    stated_deviation,
+    with_gain_uncertainty,
 )
 from splitknit.skin.light import fine_lighting, slant_of
-from splitknit.skin.parameters import SLANT_DEG, SLANT_ERROR
+from splitknit.skin.parameters import (
+    GAIN_UNCERTAINTY,
+    HIDDEN_RIDGES_UM,
+    OWN_ERROR,
+    RED_SHADING,
+    RIDGE_BAND_MM,
+    SLANT_DEG,
+    SLANT_ERROR,
+)
+from splitknit.skin.relief import ReliefEstimate
 
 FACTOR = 3
 SLOPES, WAVES = slice(3, 9), slice(9, 21)
@@ -165,3 +177,50 @@ def test_the_relief_is_the_network_output_without_its_offset(scene):
         stated[inner], np.interp(slant[inner], SLANT_DEG, SLANT_ERROR), rtol=0.01
     )
     assert stated[inner & (slant < 10)].max() < 0.95 and np.ptp(slant[inner]) > 10
+
+
+def drawn_estimate(scene, rms_um, trust=None):
+    relief = scene.relief_mm.astype(np.float32)
+    trust = scene.inner.astype(np.float32) if trust is None else trust
+    nothing = np.zeros_like(relief)
+    facts = {"relief_rms_um": rms_um}
+    return ReliefEstimate(relief, nothing, trust, nothing, nothing, None, facts)
+
+
+@pytest.mark.parametrize(
+    ("red_over_blue", "rms_um", "hidden"),
+    [
+        (RED_SHADING[1], 20.0, 0.0),
+        (0.9, 20.0, 0.0),
+        (RED_SHADING[0], 2 * HIDDEN_RIDGES_UM, 0.5),
+        (-0.1, 2 * HIDDEN_RIDGES_UM, 0.5),
+        (-0.1, HIDDEN_RIDGES_UM / 2, 1.0),
+        (float(np.mean(RED_SHADING)), HIDDEN_RIDGES_UM, 0.5),
+    ],
+)
+def test_the_gain_is_unknown_where_red_shades_ridges_little(scene, red_over_blue, rms_um, hidden):
+    estimate = drawn_estimate(scene, rms_um)
+    blue = 0.2 * np.stack(height_gradients(estimate.relief_mm, scene.grid.pitch_mm))
+    slopes = np.concatenate([red_over_blue * blue, blue])
+    gain = with_gain_uncertainty(estimate, slopes, scene.grid).facts["gain_uncertainty"]
+    assert gain == pytest.approx(np.hypot(GAIN_UNCERTAINTY, hidden), abs=1e-3)
+    assert estimate.facts == {"relief_rms_um": rms_um}
+
+
+def test_the_gain_is_unknown_where_no_light_shades_the_ridges(scene):
+    estimate = drawn_estimate(scene, HIDDEN_RIDGES_UM)
+    dark = np.zeros((4, *scene.grid.shape), np.float32)
+    gain = with_gain_uncertainty(estimate, dark, scene.grid).facts["gain_uncertainty"]
+    assert gain == pytest.approx(np.hypot(GAIN_UNCERTAINTY, 1.0))
+
+
+def test_the_stated_deviation_has_the_gain_of_the_ridges_alone(scene):
+    grid, surface = scene.grid, placed(scene)
+    ridges = scene.relief_mm.astype(np.float32)
+    ridges -= grid.smooth(ridges, grid.mask, RIDGE_BAND_MM)
+    own = np.interp(slant_of(surface, grid.pitch_mm), SLANT_DEG, OWN_ERROR)
+    deviation = np.full(grid.shape, 0.004, np.float32)
+    stated = stated_deviation(ridges + 0.3, deviation, surface, grid, 0.5)
+    again = ridges - grid.smooth(ridges, grid.mask, RIDGE_BAND_MM)
+    expected = np.hypot(own * 0.004, 0.5 * again)
+    np.testing.assert_allclose(stated[scene.inner], expected[scene.inner], atol=2e-5)

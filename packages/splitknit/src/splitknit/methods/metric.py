@@ -60,7 +60,9 @@ from splitknit.skin.learned import (
     relief_by_network,
     relief_network,
     relief_of_output,
+    stated_deviation,
     variance_restored,
+    with_gain_uncertainty,
 )
 from splitknit.skin.light import slant_of
 from splitknit.skin.parameters import KNIT_MM, LITTLE_GLOSS, SCATTERING_SD
@@ -332,6 +334,7 @@ def relief_and_shape(
     output = (
         upright if films is not None else relief_network(network, TURNED, upright)(light.fields)
     )
+    slopes = light.fields[[3, 4, 7, 8]]
     del light
     first = relief_of_output(upright, levels, grid, smooth)
     for _ in range(refinements):
@@ -339,7 +342,8 @@ def relief_and_shape(
         shape = refined_shape(shape, first.relief_mm, images, optics, networks.shape)
         smooth = on_fine_grid(shape.height_mm, images)
     if films is None:
-        return smooth, variance_restored(relief_of_output(output, levels, grid, smooth))
+        relief = variance_restored(relief_of_output(output, levels, grid, smooth))
+        return smooth, with_gain_uncertainty(relief, slopes, grid)
     light = features(
         films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films))
     )
@@ -412,8 +416,14 @@ def _on_pixels(images: SkinImages, settings: PipelineSettings, jpeg_loss: float)
         surface = metric_skin(images.bands, images.grid, skin, p, networks)
     shape_mm = images.on_pixels(surface.shape_mm)
     ridge_mm = images.on_pixels(surface.relief_mm)
-    deviation_mm = np.hypot(images.on_pixels(surface.deviation_mm), jpeg_loss * ridge_mm)
     relief_by = surface.facts["relief_by"]
+    deviation_mm = surface.deviation_mm
+    if relief_by == "network":
+        gain = surface.facts["gain_uncertainty"]
+        deviation_mm = stated_deviation(
+            surface.relief_mm, deviation_mm, surface.shape_mm, images.grid, gain
+        )
+    deviation_mm = np.hypot(images.on_pixels(deviation_mm), jpeg_loss * ridge_mm)
     return FingerSurface(
         shape_mm + ridge_mm,
         ridge_mm,

@@ -216,6 +216,12 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
             " finger turns away. This is the standard deviation (one sigma) of their height. Good:"
             " small against the relief."
         )
+    optics = result.facts.get("optics", {})
+    if optics.get("relief_by") == "network" and "gain_uncertainty" in optics:
+        caption += (
+            " It includes a common factor of all heights, whose standard deviation is"
+            f" {100 * optics['gain_uncertainty']:.0f} %."
+        )
     values, weight = to_frame(result.uncertainty_um, known, small.frame)
     high = float(np.percentile(values[weight > 0.5], 98))
     picture = on_paper(colour(values, 0.0, high), weight)

@@ -27,11 +27,13 @@ from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import Lighting, lighting, predict, reached_by_all, slant_of, trust_of
 from splitknit.skin.parameters import (
     GAIN_UNCERTAINTY,
+    HIDDEN_RIDGES_UM,
     LEVEL_MM,
-    LITTLE_GLOSS,
     MAX_UNEVEN,
     MIN_LIGHTS,
     NETWORK_PITCH_MM,
+    OWN_ERROR,
+    RED_SHADING,
     RIDGE_BAND_MM,
     RIDGE_SLOPES_MM,
     SLANT_DEG,
@@ -250,8 +252,8 @@ def relief_by_network(
 ) -> ReliefEstimate:
     """Relief as the network estimates it on the fine grid.
 
-    `light`: of the white band on `smooth_mm` (h, w), the shape without the relief; its memory is
-    used.
+    `light`: of the white band on `smooth_mm` (h, w), the shape without the relief; its fields are
+    turned in place.
     """
     return relief_of_output(network(light.fields), light.level[:2] * grid.mask, grid, smooth_mm)
 
@@ -284,7 +286,6 @@ def relief_of_output(
         facts={
             "relief_by": "network",
             "gloss": gloss,
-            "gain_uncertainty": GAIN_UNCERTAINTY[0 if gloss < LITTLE_GLOSS else 1],
             "relief_rms_um": 1000 * float(np.sqrt(power)),
             "relief_error_um": 1000 * float(np.sqrt(error)),
         },
@@ -297,6 +298,39 @@ def variance_restored(estimate: ReliefEstimate) -> ReliefEstimate:
     gain = np.float32(shrinkage_gain(rms, estimate.facts["relief_error_um"]))
     facts = {**estimate.facts, "relief_rms_um": float(gain) * rms}
     return replace(estimate, relief_mm=estimate.relief_mm * gain, facts=facts)
+
+
+def with_gain_uncertainty(
+    estimate: ReliefEstimate, slopes: FloatArray, grid: Grid
+) -> ReliefEstimate:
+    """The estimate with the fact ``gain_uncertainty``: the standard deviation of the common factor
+    of its heights.
+
+    `slopes`: (4, h, w) of the features, red x and y, blue x and y. Red light goes far inside skin,
+    so its shading by ridges is that of light which the boundary diffuses. Where it is faint beside
+    that of blue, light enters refracted: then shading says little of how high the ridges are, and
+    the network answers with what is usual.
+    """
+    inner = estimate.trust > 0.9
+    ridges = np.stack(height_gradients(estimate.relief_mm, grid.pitch_mm))[:, inner]
+    red, blue = (float((pair[:, inner] * ridges).sum()) for pair in (slopes[:2], slopes[2:]))
+    hidden = np.interp(red / blue if blue > 0 else 0.0, RED_SHADING, (1, 0))
+    hidden *= min(HIDDEN_RIDGES_UM / max(estimate.facts["relief_rms_um"], 1e-6), 1.0)
+    facts = {**estimate.facts, "gain_uncertainty": float(np.hypot(GAIN_UNCERTAINTY, hidden))}
+    return replace(estimate, facts=facts)
+
+
+def stated_deviation(
+    relief_mm: FloatArray, deviation_mm: FloatArray, shape_mm: FloatArray, grid: Grid, gain: float
+) -> FloatArray:
+    """(h, w) deviation of a relief by the network that includes the uncertainty `gain` of the
+    factor of its heights.
+
+    `deviation_mm`: of the estimate. The factor is a part of it already, which is taken away.
+    """
+    own = np.interp(slant_of(shape_mm, grid.pitch_mm), SLANT_DEG, OWN_ERROR).astype(np.float32)
+    ridges = relief_mm - grid.smooth(relief_mm, grid.mask, RIDGE_BAND_MM)
+    return np.asarray(np.hypot(own * deviation_mm, np.float32(gain) * ridges))
 
 
 def refined_shape(

@@ -72,12 +72,31 @@ may be none.
 Unit: fraction. Chosen on: simulated fingers (boundaries of all kinds). Range: not known.
 """
 
-GAIN_UNCERTAINTY = (0.2, 0.15)
-"""Standard deviation of the common factor of all heights with less and with more specular
-reflection than that. Boundary and brightness by height of these fingers vary by a factor of seven,
-as those of skin are not known.
+GAIN_UNCERTAINTY = 0.175
+"""Standard deviation of the common factor of all heights where shading shows the ridges.
 
-Unit: fraction. Chosen on: simulated fingers (boundaries of all kinds). Range: not known.
+Unit: fraction. Chosen on: path-traced fingers (three of validation/path_traced/make.py, eight of
+its ``--drawn 8 --seed 1``) and four simulated ones. Range: not known.
+"""
+
+RED_SHADING = (0.15, 0.4)
+"""Shading by ridges in red over that in blue, where it says nothing of the ridges' height, and
+where all. Refracted light gave -0.1 to 0.2, diffused light 0.25 to 0.35, the simulator 0.37 to
+0.48; skin that scatters little gives less.
+
+Unit: none. Chosen on: the same fingers. Range: not known.
+"""
+
+HIDDEN_RIDGES_UM = 15.0
+"""Standard deviation of the ridges that shading does not show.
+
+Unit: um, rms. Chosen on: the same fingers. Range: not known.
+"""
+
+OWN_ERROR = (0.8, 0.8, 0.8, 0.8, 0.8, 1.0)
+"""Deviation of the relief without that of its gain, over the one with it, by slant (`SLANT_DEG`).
+
+Unit: fraction. Chosen on: the same fingers. Range: not known.
 """
 
 SLANT_DEG = (0, 15, 30, 45, 60, 70)
