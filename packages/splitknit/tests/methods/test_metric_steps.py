@@ -17,11 +17,13 @@ from splitknit.methods.parameters import (
     COLOUR_MM,
     DOUBTFUL,
     FAINT,
+    FILMS_ROUNDS,
     JPEG_COARSE,
     JPEG_LOSS,
     JPEG_LOSS_COARSE,
     MAX_SLOPE,
     RED_PART,
+    RELIEF_ROUNDS,
     SHAPE_MM,
     UNKNOWN_MM,
     WALL_OF_STEEP,
@@ -256,6 +258,32 @@ class TestNearSlopes:
             slopes, _, normals = metric.near_slopes(white, settings, p.height)
             np.testing.assert_array_equal(slopes[0], metric.slopes_of(normals, white)[0])
         assert dropped == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("rounds", "films", "expected"),
+    [(None, False, RELIEF_ROUNDS), (None, True, FILMS_ROUNDS), (1, True, 1), (4, False, 4)],
+)
+def test_the_shape_is_refined_once_more_behind_films(monkeypatch, rounds, films, expected):
+    counted = []
+    smooth, channels = field(3), ("red", "green", "blue")
+    estimate = SimpleNamespace(
+        trust=1, relief_mm=smooth, deviation_mm=smooth, albedo=smooth, facts={}
+    )
+
+    def relief_and_shape(*arguments):
+        counted.append(arguments[-1])
+        return smooth, estimate
+
+    shape = SimpleNamespace(brightness=dict.fromkeys(channels, 1.0), glare={})
+    monkeypatch.setattr(metric, "coarse_images", lambda *_: SimpleNamespace(channels=channels))
+    monkeypatch.setattr(metric, "coarse_shape", lambda *_: shape)
+    monkeypatch.setattr(metric, "relief_and_shape", relief_and_shape)
+    monkeypatch.setattr(metric, "detail_of", lambda *_: 0)
+    band = replace(white_band(), unpolarised=white_band(5) if films else None)
+    p = replace(METRIC.metric, rounds=rounds)
+    metric.metric_skin((band,), square_grid(), METRIC.skin, p, Networks(None))
+    assert counted == [expected]
 
 
 class TestFilms:

@@ -20,11 +20,13 @@ from splitknit.methods.parameters import (
     COLOUR_MM,
     DOUBTFUL,
     FAINT,
+    FILMS_ROUNDS,
     JPEG_COARSE,
     JPEG_LOSS,
     JPEG_LOSS_COARSE,
     MAX_SLOPE,
     RED_PART,
+    RELIEF_ROUNDS,
     ROUNDS,
     SHAPE_MM,
     TURNED,
@@ -191,9 +193,11 @@ def metric_skin(
         smooth = on_fine_grid(shape.height_mm, images)
         light = white_light_on(shape.height_mm, images)
         measured = measure(images.white, grid, smooth, light, optics, shape.brightness)
-        estimate = relief_by_colour(measured, grid, smooth, scattering_more, p.rounds)
+        rounds = p.rounds or RELIEF_ROUNDS
+        estimate = relief_by_colour(measured, grid, smooth, scattering_more, rounds)
     else:
-        smooth, estimate = relief_and_shape(images, shape, optics, networks, p.rounds)
+        rounds = p.rounds or (RELIEF_ROUNDS if bands[0].unpolarised is None else FILMS_ROUNDS)
+        smooth, estimate = relief_and_shape(images, shape, optics, networks, rounds)
     detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
     facts = {
         "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
