@@ -17,7 +17,6 @@ from splitknit.methods.parameters import (
     COLOUR_MM,
     DOUBTFUL,
     FAINT,
-    FILMS_ROUNDS,
     JPEG_COARSE,
     JPEG_LOSS,
     JPEG_LOSS_COARSE,
@@ -25,6 +24,7 @@ from splitknit.methods.parameters import (
     RED_PART,
     RELIEF_ROUNDS,
     SHAPE_MM,
+    SIDE_ROUNDS,
     UNKNOWN_MM,
     WALL_OF_STEEP,
     WALL_PART,
@@ -260,32 +260,6 @@ class TestNearSlopes:
         assert dropped == [True, False]
 
 
-@pytest.mark.parametrize(
-    ("rounds", "films", "expected"),
-    [(None, False, RELIEF_ROUNDS), (None, True, FILMS_ROUNDS), (1, True, 1), (4, False, 4)],
-)
-def test_the_shape_is_refined_once_more_behind_films(monkeypatch, rounds, films, expected):
-    counted = []
-    smooth, channels = field(3), ("red", "green", "blue")
-    estimate = SimpleNamespace(
-        trust=1, relief_mm=smooth, deviation_mm=smooth, albedo=smooth, facts={}
-    )
-
-    def relief_and_shape(*arguments):
-        counted.append(arguments[-1])
-        return smooth, estimate
-
-    shape = SimpleNamespace(brightness=dict.fromkeys(channels, 1.0), glare={})
-    monkeypatch.setattr(metric, "coarse_images", lambda *_: SimpleNamespace(channels=channels))
-    monkeypatch.setattr(metric, "coarse_shape", lambda *_: shape)
-    monkeypatch.setattr(metric, "relief_and_shape", relief_and_shape)
-    monkeypatch.setattr(metric, "detail_of", lambda *_: 0)
-    band = replace(white_band(), unpolarised=white_band(5) if films else None)
-    p = replace(METRIC.metric, rounds=rounds)
-    metric.metric_skin((band,), square_grid(), METRIC.skin, p, Networks(None))
-    assert counted == [expected]
-
-
 class TestFilms:
     @pytest.fixture
     def measured(self, monkeypatch):
@@ -311,9 +285,9 @@ class TestFilms:
         monkeypatch.setattr(metric, "_specular_heights", heights)
         return asked
 
-    def polarised(self, networks="networks", side=None):
+    def polarised(self, networks="networks", side=None, p=METRIC.metric):
         images = skin_images(crossed=white_band(5), side=side)
-        return images, metric.metric_polarised(images, "skin", "p", networks)
+        return images, metric.metric_polarised(images, "skin", p, networks)
 
     def test_the_crossed_series_gives_the_first_surface(self, measured):
         images, _ = self.polarised()
@@ -321,7 +295,14 @@ class TestFilms:
         assert bands[0].stack is images.crossed.stack
         assert bands[0].unpolarised is images.bands[0]
         assert bands[1] is images.bands[1]
-        assert (grid, skin, p, networks) == (images.grid, "skin", "p", "networks")
+        assert (grid, skin, networks) == (images.grid, "skin", "networks")
+        assert p == replace(METRIC.metric, rounds=RELIEF_ROUNDS)
+
+    def test_under_side_lights_the_shape_is_refined_once_more(self, measured):
+        side = white_band(4), white_band(6), ring("white")
+        self.polarised(side=side)
+        self.polarised(side=side, p=replace(METRIC.metric, rounds=1))
+        assert [p.rounds for _, _, _, p, _ in measured.skins] == [SIDE_ROUNDS, 1]
 
     def test_heights_are_split_into_a_slow_shape_and_a_relief(self, measured):
         images, surface = self.polarised()
@@ -355,7 +336,7 @@ class TestFilms:
         measured.fit["specular_over_noise"] = np.nextafter(FAINT, 0)
         images, surface = self.polarised()
         assert measured.skins[1][0] is images.bands
-        assert measured.skins[1][1:] == (images.grid, "skin", "p", "networks")
+        assert measured.skins[1][1:] == (images.grid, "skin", METRIC.metric, "networks")
         assert surface.facts == {"relief_by": "network", "specular": measured.fit}
         np.testing.assert_array_equal(surface.albedo, field(2))
         measured.fit["specular_over_noise"] = FAINT

@@ -8,16 +8,15 @@ TURNED = (5, 6)
 Unit: none. Chosen on: not known. Range: not known.
 """
 RELIEF_ROUNDS = 2
-"""Estimates of the relief, without films.
+"""Estimates of the relief.
 
 Unit: none. Chosen on: not known. Range: not known.
 """
-FILMS_ROUNDS = 3
-"""Estimates of the relief behind films. The second refinement of the shape adds a seventh of the
-first; a third adds a third of that, and no more of what is missing.
+SIDE_ROUNDS = 3
+"""The same behind films with lights to the side: the second refinement of the shape adds a seventh
+of the first, a third hardly anything. With front lights alone it may lead astray.
 
-Unit: none. Chosen on: simulated fingers (seeds 8101 to 8105, side lights), then path-traced ones.
-Range: 3 to 4.
+Unit: none. Chosen on: simulated fingers (docs/explain/tried.md). Range: 3 to 4.
 """
 BOTH_FROM_DEG = 30.0
 """Slant of the skin from which the relief becomes the mean of two estimates, from both series of a
