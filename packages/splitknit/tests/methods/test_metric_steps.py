@@ -22,7 +22,9 @@ from splitknit.methods.parameters import (
     JPEG_LOSS_COARSE,
     MAX_SLOPE,
     RED_PART,
+    RELIEF_ROUNDS,
     SHAPE_MM,
+    SIDE_ROUNDS,
     UNKNOWN_MM,
     WALL_OF_STEEP,
     WALL_PART,
@@ -283,9 +285,9 @@ class TestFilms:
         monkeypatch.setattr(metric, "_specular_heights", heights)
         return asked
 
-    def polarised(self, networks="networks", side=None):
+    def polarised(self, networks="networks", side=None, p=METRIC.metric):
         images = skin_images(crossed=white_band(5), side=side)
-        return images, metric.metric_polarised(images, "skin", "p", networks)
+        return images, metric.metric_polarised(images, "skin", p, networks)
 
     def test_the_crossed_series_gives_the_first_surface(self, measured):
         images, _ = self.polarised()
@@ -293,7 +295,14 @@ class TestFilms:
         assert bands[0].stack is images.crossed.stack
         assert bands[0].unpolarised is images.bands[0]
         assert bands[1] is images.bands[1]
-        assert (grid, skin, p, networks) == (images.grid, "skin", "p", "networks")
+        assert (grid, skin, networks) == (images.grid, "skin", "networks")
+        assert p == replace(METRIC.metric, rounds=RELIEF_ROUNDS)
+
+    def test_under_side_lights_the_shape_is_refined_once_more(self, measured):
+        side = white_band(4), white_band(6), ring("white")
+        self.polarised(side=side)
+        self.polarised(side=side, p=replace(METRIC.metric, rounds=1))
+        assert [p.rounds for _, _, _, p, _ in measured.skins] == [SIDE_ROUNDS, 1]
 
     def test_heights_are_split_into_a_slow_shape_and_a_relief(self, measured):
         images, surface = self.polarised()
@@ -327,7 +336,7 @@ class TestFilms:
         measured.fit["specular_over_noise"] = np.nextafter(FAINT, 0)
         images, surface = self.polarised()
         assert measured.skins[1][0] is images.bands
-        assert measured.skins[1][1:] == (images.grid, "skin", "p", "networks")
+        assert measured.skins[1][1:] == (images.grid, "skin", METRIC.metric, "networks")
         assert surface.facts == {"relief_by": "network", "specular": measured.fit}
         np.testing.assert_array_equal(surface.albedo, field(2))
         measured.fit["specular_over_noise"] = FAINT

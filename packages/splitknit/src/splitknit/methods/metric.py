@@ -25,8 +25,10 @@ from splitknit.methods.parameters import (
     JPEG_LOSS_COARSE,
     MAX_SLOPE,
     RED_PART,
+    RELIEF_ROUNDS,
     ROUNDS,
     SHAPE_MM,
+    SIDE_ROUNDS,
     TURNED,
     UNKNOWN_MM,
     WALL_OF_STEEP,
@@ -188,14 +190,15 @@ def metric_skin(
     white = bands[0].channels
     colour = {name: shape.brightness[name] / shape.brightness[white[0]] for name in white}
     optics = skin.optics(images.channels, colour)
+    rounds = p.rounds or RELIEF_ROUNDS
     if networks is None:
         scattering_more = skin.optics(images.channels, colour, 1 + SCATTERING_SD)
         smooth = on_fine_grid(shape.height_mm, images)
         light = white_light_on(shape.height_mm, images)
         measured = measure(images.white, grid, smooth, light, optics, shape.brightness)
-        estimate = relief_by_colour(measured, grid, smooth, scattering_more, p.rounds)
+        estimate = relief_by_colour(measured, grid, smooth, scattering_more, rounds)
     else:
-        smooth, estimate = relief_and_shape(images, shape, optics, networks, p.rounds)
+        smooth, estimate = relief_and_shape(images, shape, optics, networks, rounds)
     detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
     facts = {
         "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
@@ -224,7 +227,8 @@ def metric_polarised(
     crossed, grid, side = images.crossed, images.grid, images.side
     assert crossed is not None
     white = replace(crossed, unpolarised=images.bands[0])
-    first = metric_skin((white, *images.bands[1:]), grid, skin, p, networks)
+    rounds = p.rounds or (RELIEF_ROUNDS if side is None else SIDE_ROUNDS)
+    first = metric_skin((white, *images.bands[1:]), grid, skin, replace(p, rounds=rounds), networks)
     start = first
     if networks is None:  # a relief by colour alone would lead astray
         start = replace(

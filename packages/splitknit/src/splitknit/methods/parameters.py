@@ -7,6 +7,20 @@ TURNED = (5, 6)
 
 Unit: none. Chosen on: not known. Range: not known.
 """
+RELIEF_ROUNDS = 2
+"""Estimates of the relief.
+
+Unit: none. Chosen on: not known. Range: not known.
+"""
+SIDE_ROUNDS = 3
+"""The same behind films with lights to the side: the second refinement of the shape adds a seventh
+of the first, a third hardly anything. Surfaces of nine simulated fingers differ by -1.8 [-3.2,
+-0.4] um of 51, ridges below 60 deg by +0.07 [-0.10, 0.25] um of 4.6; the surface of a path-traced
+one by -5 um of 24. With front lights alone it may lead astray (docs/explain/tried.md).
+
+Unit: none. Chosen on: simulated fingers (seeds 8101 to 8105 of validation/path_traced/polarised.py;
+on 7101, 7102, 7107 and 7108 nothing was). Range: 3 to 4.
+"""
 BOTH_FROM_DEG = 30.0
 """Slant of the skin from which the relief becomes the mean of two estimates, from both series of a
 polarised capture and from the crossed one: the first is too high there, the second too low.

@@ -31,8 +31,9 @@ class MetricSettings(Checked):
 
     plane_mm: float = 1.0
     """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
-    rounds: Annotated[int, Limits(1)] = 2
-    """Number of relief estimates; networks refine the shape between two of them."""
+    rounds: Annotated[int | None, Limits(1)] = None
+    """Number of relief estimates; networks refine the shape between two of them. None: three behind
+    films with lights to the side, else two."""
     coarse_steps: Annotated[int, Limits(1)] = 3
     """Gauss-Newton steps of the shape on the coarse grid."""
     relief: Literal["network", "colour"] = "network"
