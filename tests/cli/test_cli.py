@@ -43,6 +43,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         preset: str = "metric",
         settings: Mapping[str, Any] | None = None,
         progress: Callable[[str, float], None] | None = None,
+        kept: object = None,
     ) -> Reconstruction:
         calls.update(
             preset=preset,
