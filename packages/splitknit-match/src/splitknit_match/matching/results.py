@@ -16,7 +16,7 @@ _SCALES = {
     "ridge": "1 = the same picture",
     "fusion": "log-likelihood ratio of ridges and minutiae, natural logarithm",
     "thesis": "1 = equal, 0 = as dissimilar as possible",
-    "thesis-code": "1 = equal, negative for most others",
+    "thesis-code": "1 = the same images, negative even for two captures of one finger",
     "minutiae": "bozorth3: about how many pairs of minutiae fit together",
 }
 """What the method's own score means."""

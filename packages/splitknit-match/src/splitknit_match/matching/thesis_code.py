@@ -89,8 +89,9 @@ def code_match(database: CodeSide, query: CodeSide) -> ImageMatch:
     The tips are laid on each other, then the query is moved sideways to the largest overlap of the
     masks; it is neither turned nor brought to the database's size. Histograms are counts; the score
     of an attribute is 1 - the mean over its channels of the L1 distance, divided by the number of
-    features: 1 for equal fingers, negative for most others; there is no gate. Raises BadInput if
-    the scales differ, a mask is smaller than a cell, or one side lacks a channel of the other.
+    features: 1 for the same images, negative even for two captures of one finger; there is no gate.
+    Raises BadInput if the scales differ, a mask is smaller than a cell, or one side lacks a channel
+    of the other.
     """
     scale = database.px_per_mm / REFERENCE_PX_PER_MM
     check_scales(database.px_per_mm, query.px_per_mm)
