@@ -32,6 +32,7 @@ class Panel:
     """A part of the drawing with its own origin (pixels) and scale (pixels per mm); z is up."""
 
     def __init__(self, x0: float, y0: float, scale: float) -> None:
+        """Place the origin."""
         self.x0, self.y0, self.scale = x0, y0, scale
         self.shapes: list[str] = []
 
