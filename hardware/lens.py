@@ -75,7 +75,7 @@ class Panel:
 
 def focal_mm(d: RigDimensions) -> float:
     """Focal length of a thin lens that gives the rig's pixels per millimetre."""
-    enlargement = d.settings.rig.px_per_mm * PIXEL_MM
+    enlargement: float = d.settings.rig.px_per_mm * PIXEL_MM
     return d.camera_height_mm * enlargement / (1 + enlargement)
 
 
@@ -87,7 +87,7 @@ def blur_mm(d: RigDimensions, stop: float, away_mm: float) -> float:
 
 def depth_mm(d: RigDimensions, stop: float) -> float:
     """Depth of field around the finger plane: blur of at most `BLUR_PX` pixels on it."""
-    blur = BLUR_PX / d.settings.rig.px_per_mm
+    blur: float = BLUR_PX / d.settings.rig.px_per_mm
     return 2 * blur * d.camera_height_mm * stop / focal_mm(d)
 
 
