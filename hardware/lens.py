@@ -32,7 +32,7 @@ class Panel:
     """A part of the drawing with its own origin (pixels) and scale (pixels per mm); z is up."""
 
     def __init__(self, x0: float, y0: float, scale: float) -> None:
-        """Place the origin."""
+        """Place the origin; there are no shapes yet."""
         self.x0, self.y0, self.scale = x0, y0, scale
         self.shapes: list[str] = []
 
@@ -75,7 +75,7 @@ class Panel:
 
 def focal_mm(d: RigDimensions) -> float:
     """Focal length of a thin lens that gives the rig's pixels per millimetre."""
-    enlargement = d.settings.rig.px_per_mm * PIXEL_MM
+    enlargement: float = d.settings.rig.px_per_mm * PIXEL_MM
     return d.camera_height_mm * enlargement / (1 + enlargement)
 
 
@@ -87,7 +87,7 @@ def blur_mm(d: RigDimensions, stop: float, away_mm: float) -> float:
 
 def depth_mm(d: RigDimensions, stop: float) -> float:
     """Depth of field around the finger plane: blur of at most `BLUR_PX` pixels on it."""
-    blur = BLUR_PX / d.settings.rig.px_per_mm
+    blur: float = BLUR_PX / d.settings.rig.px_per_mm
     return 2 * blur * d.camera_height_mm * stop / focal_mm(d)
 
 
@@ -183,7 +183,7 @@ def _holder(d: RigDimensions) -> Panel:
     p.text(-1.0, high + 2.4, "board", anchor="middle")
     p.text(0.0, high - 2.2, "sensor", anchor="middle")
     p.text(0.0, d.camera_height_mm + 4.5, "lens in", "M12 x 0.5", anchor="middle")
-    p.text(-14.3, d.frame_z_mm + 1.7, "frame")
+    p.text(9.3, d.frame_z_mm + 1.7, "frame")
     p.path([(7.0, high - 3.5), (12.0, high - 3.5)], f'stroke="{INK}"')
     p.text(12.3, high - 3.9, "holder")
     for side in (-1.0, 1.0):
@@ -269,9 +269,10 @@ def main() -> None:
     """Write the drawing."""
     options = sizes.arguments(__doc__ or "", "parts")
     s = sizes.read_dimensions(options.dimensions)
+    rig = rig_of(s)
+    s.rig.px_per_mm = rig.camera.px_per_mm  # a rig file's own
     options.out.mkdir(parents=True, exist_ok=True)
-    drawing = figure(dimensions_of(rig_of(s), s))
-    (options.out / NAME).write_text(drawing, encoding="utf-8")
+    (options.out / NAME).write_text(figure(dimensions_of(rig, s)), encoding="utf-8")
 
 
 if __name__ == "__main__":
