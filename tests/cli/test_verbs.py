@@ -7,6 +7,7 @@ import importlib.metadata
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,6 +33,7 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput, require
 from splitknit.imaging.band import decode_table
 from splitknit.io.images import read_image
+from splitknit.io.results import read_result
 from splitknit.settings import Limits
 
 
@@ -242,6 +244,36 @@ def test_steps_are_kept_where_a_preset_has_them(twin_folder: Path, tmp_path: Pat
     assert [file.name for file in (out / "steps").iterdir()] == ["chromaticity.png"]
     assert main(["reconstruct", str(twin_folder), "--preset", "ea", "--out", str(out)]) == 0
     assert not (out / "steps").exists()
+
+
+def test_snk_takes_a_network_file_by_its_path(
+    twin_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = resources.files("splitknit.networks") / "shipped"
+    mine = tmp_path / "mine.onnx"
+    for file in (mine, mine.with_suffix(".json")):
+        file.write_bytes((shipped / f"direct{file.suffix}").read_bytes())
+
+    def heights(name: str, *changes: str) -> NDArray[np.float32]:
+        options = ["--preset", "snk", *changes, "--out", str(tmp_path / name)]
+        assert main(["reconstruct", str(twin_folder), *options]) == 0
+        return read_result(tmp_path / name).height_mm
+
+    by_path = heights("by_path", "--set", f"direct.network={mine}")
+    np.testing.assert_array_equal(by_path, heights("shipped"))
+    report = json.loads((tmp_path / "by_path" / "report.json").read_text())
+    assert report["facts"]["separation"] == f"direct light by the network '{mine}'"
+
+    mine.write_bytes(b"not a network")
+    refused = {mine: "are damaged or not those of their card", tmp_path / "none.onnx": "cannot be"}
+    capsys.readouterr()
+    for file, sentence in refused.items():
+        options = ["--set", f"direct.network={file}", "--out", str(tmp_path / "refused")]
+        assert main(["reconstruct", str(twin_folder), "--preset", "snk", *options]) == 2
+        printed = capsys.readouterr().err
+        assert printed.startswith("splitknit: error: ") and printed.count("\n") == 1
+        assert str(file) in printed and sentence in printed
+        assert not (tmp_path / "refused").exists()
 
 
 def srgb_light(file: Path) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from hardware import draw, films, phantom, safety, sizes
+from hardware import draw, films, lens, phantom, safety, sizes
 from hardware.checks import check_dimensions
 from hardware.circuit import BOARD, write_circuit
 from hardware.geometry import dimensions_of, holder_places, mirror_profile
@@ -186,6 +186,14 @@ def test_the_reference_board_is_what_lies_there(tmp_path: Path) -> None:
         if file.name != "rig.json":  # it names the release
             assert file.read_bytes() == (BOARD / file.name).read_bytes(), file.name
     assert read_rig(tmp_path / "rig.json").leds == read_rig(BOARD / "rig.json").leds
+
+
+def test_the_page_shows_the_lens_as_its_script_draws_it() -> None:
+    s = read_dimensions()
+    d = dimensions_of(films.rig_of(s), s)
+    assert lens.depth_mm(d, 2.0) == pytest.approx(1.35, abs=0.01)
+    drawn = (ROOT / "docs" / "images" / lens.NAME).read_text(encoding="utf-8")
+    assert lens.figure(d) == drawn
 
 
 @pytest.mark.parametrize("kind", ["servo", "hand", "neighbours"])

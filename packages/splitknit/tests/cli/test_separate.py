@@ -249,3 +249,15 @@ def test_polarised_series_that_do_not_match_are_refused(tmp_path, capsys):
     (crossed / "through_1.png").unlink()
     assert "3 photographs and" in refusal(capsys, out, "polarised", parallel, crossed)
     assert "holds the input itself" in refusal(capsys, parallel, "polarised", parallel, crossed)
+
+
+def test_one_photograph_of_8_bits_is_taken_as_srgb(tmp_path):
+    folder = tmp_path / "photograph"
+    folder.mkdir()
+    pixels = np.random.default_rng(1).integers(90, 140, (64, 64, 3)).astype(np.uint8)
+    write_image(folder / "finger.png", pixels)
+    for options, encoding in (([], "srgb"), (["--encoding", "linear"], "linear")):
+        out = tmp_path / encoding
+        assert run(folder, "--out", out, "--method", "network", *options) == 0
+        report = json.loads((out / "report.json").read_text())
+        assert report["settings"]["separate"]["encoding"] == encoding

@@ -41,6 +41,7 @@ from splitknit.separation.parameters import REPORTED_LEVEL, RIDGES_A_FINGER
 from splitknit.separation.stacks import Separation, estimate_patterns
 
 ESTIMATE = "estimate"
+_NOT_LIT = ("black", "white", "mask")
 _SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
 MARKER = "direct.tiff"
 POLARISED_MARKER = "specular.png"
@@ -60,7 +61,7 @@ def separate_to_folder(
     alpha: float,
     dark: float,
     patterns: str | None,
-    encoding: str,
+    encoding: str | None,
     check_px: float | None,
     progress: Progress,
 ) -> dict[str, Any]:
@@ -82,6 +83,9 @@ def separate_to_folder(
     check_target(out, MARKER, "an earlier separation", keep=folder)
     with atomic_folder(out) as target:
         progress("reading", 0.0)
+        if encoding is None:
+            photographs = _lit_images(folder) if method == "network" and folder.is_dir() else []
+            encoding = encoding_of(photographs, lambda: None)[0] if photographs else "linear"
         light = read_light(folder, states_folder, encoding)
         progress("separating", 0.5)
         common: dict[str, Any] = {"mask": light.mask, "clip_level": light.clip_level}
@@ -251,6 +255,11 @@ class PatternLight:
     hashes: dict[str, str]  # SHA-256 by name
 
 
+def _lit_images(folder: Path) -> list[Path]:
+    """The images of a folder but for ``black``, ``white`` and ``mask``."""
+    return [file for file in _images_in(folder) if file.stem.lower() not in _NOT_LIT]
+
+
 def read_light(folder: Path, states: Path | None = None, encoding: str = "linear") -> PatternLight:
     """Read all images of a folder, and of a folder of `states`, in the order of their names
     (``a_2`` before ``a_10``), ``black`` and ``mask`` apart and without ``white``; hashes go by
@@ -261,7 +270,7 @@ def read_light(folder: Path, states: Path | None = None, encoding: str = "linear
         require(place.is_dir(), f"'{place}' is not a folder {what}.")
     files = _images_in(folder)
     roles = {file.stem.lower(): file for file in files if file.stem.lower() in ("black", "mask")}
-    images = [file for file in files if file.stem.lower() not in ("black", "white", "mask")]
+    images = _lit_images(folder)
     require(
         len(images) > 0, f"'{folder}' holds no PNG, TIFF or JPEG images; name the folder that does."
     )

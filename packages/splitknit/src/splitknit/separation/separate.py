@@ -85,7 +85,8 @@ def separate(
         Folder of state images, white = lit, or 'estimate' to find the states in the images: no bias
         by noise.
     encoding
-        Of the images (default: linear).
+        Of the images (default: linear; of one photograph what its file says: sRGB for JPEG and 8
+        bits).
     check_px
         Side of a check on the images, for noisy checkerboards on skin (whose states are found in
         the images unless `patterns` gives them).
@@ -120,7 +121,7 @@ def separate(
             alpha=0.5 if alpha is None else alpha,
             dark=0.0 if dark is None else dark,
             patterns=patterns,
-            encoding=encoding or "linear",
+            encoding=encoding,
             check_px=check_px,
             progress=progress,
         )
