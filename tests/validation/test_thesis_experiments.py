@@ -187,6 +187,9 @@ def test_all_parts_on_a_made_up_store(
     runs = json.loads((out / "runs.json").read_text())
     assert runs["cases"]["missing"] == ["none by thesis"]
     assert runs["failures"]["failures"] == {"snk": 1, "pr": 1, "ea": 1}
+    # genuine pairs of the made-up store overlap by 0.95
+    kept = {"fingers": 10, "fingers_refused": 0, "pairs": 30, "pairs_refused": 0}
+    assert runs["failures"]["refused_by_gate"] == {"snk": kept, "pr": kept, "ea": kept}
     assert {row["matcher"] for row in read(out / "matchers.csv")} == {"ridge"}
     assert {row["factor"] for row in read(out / "sensitivity.csv")} == {
         "roll",
@@ -248,6 +251,8 @@ def test_the_gate_follows_the_thesis_and_only_impostors_that_pass_are_kept(thesi
     # without B's second capture
     assert judged("none", "single", "whole").score.tolist() == [0.1, 0.3]
     assert judged("none", "averaged", "all").score.size == 4  # AB and BA stay two
+    refused = {"fingers": 2, "fingers_refused": 1, "pairs": 2, "pairs_refused": 1}  # B's
+    assert variants.refused_by_gate(table) == {"snk": refused}
 
 
 def test_averages_over_unlike_numbers_of_sessions_are_not_given(thesis: Script) -> None:

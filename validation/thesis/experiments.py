@@ -28,6 +28,7 @@ from variants import (
     judged,
     known_of,
     passing_everywhere,
+    refused_by_gate,
     spreads,
 )
 
@@ -224,8 +225,8 @@ def run_sensitivity(options: argparse.Namespace, store: Any, truth: Mapping[str,
 
 
 def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """Failures to acquire of each case, and how many fingers and comparisons each rule of roll
-    discards."""
+    """Failures to acquire of each case, and how many fingers and comparisons each rule of roll,
+    and the gate, discards."""
     rows = []
     for case in options.cases:
         try:
@@ -254,8 +255,16 @@ def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Ro
             }
         )
     write_csv(options.out / "failures.csv", rows)
-    facts = discarded_by_roll(read_captures(store, options.cases), truth)
-    return {"failures": {row["case"]: row["failures"] for row in rows}, "roll": facts}
+    captures = read_captures(store, options.cases)
+    facts = {
+        "failures": {row["case"]: row["failures"] for row in rows},
+        "roll": discarded_by_roll(captures, truth),
+    }
+    try:
+        table = read_table(store, captures, options.cases, ("thesis",))
+    except SystemExit:  # the thesis's matcher did not run
+        return facts
+    return facts | {"refused_by_gate": refused_by_gate(table)}
 
 
 def run_scales(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:

@@ -108,6 +108,24 @@ def spreads(finger: NDArray[np.str_], rolls: Values) -> dict[str, float]:
     }
 
 
+def refused_by_gate(table: Table) -> dict[str, dict[str, int]]:
+    """By case: genuine comparisons whose masks overlap too little, and fingers that have one."""
+    pairs = table.pairs
+    fingers, finger = np.unique(pairs.captures.finger[pairs.a], return_inverse=True)
+    counts = {}
+    for trial in table.trials:
+        if trial.ratio is None:
+            continue
+        refused = pairs.genuine & (np.nan_to_num(trial.ratio, nan=1.0) < GATE)
+        counts[trial.case] = {
+            "fingers": fingers.size,
+            "fingers_refused": int(np.unique(finger[refused]).size),
+            "pairs": int(pairs.genuine.sum()),
+            "pairs_refused": int(refused.sum()),
+        }
+    return counts
+
+
 def passing_everywhere(table: Table) -> NDArray[np.bool_]:
     """(N,) comparisons whose masks overlap enough in every case of a table; empty without
     overlaps."""
