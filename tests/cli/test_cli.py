@@ -270,27 +270,18 @@ def test_an_interrupt_in_an_import_is_one_line(
 ) -> None:
     """Of the verb, of numpy, of what the verb loads."""
     arguments = [str(which), str(int(number)), "reconstruct", "nowhere", "--out", "x"]
-    run = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED_AT_IMPORT, *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=tmp_path,
-    )
-    assert (run.returncode, run.stderr) == (
-        130,
-        "splitknit: interrupted; nothing was left half-written.\n",
-    )
+    assert_interrupted(INTERRUPTED_AT_IMPORT, *arguments, cwd=tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
-def assert_interrupted_profile(code: str) -> None:
-    """One line and no more where `code`, which may change the program, runs `profile`."""
+def assert_interrupted(code: str, *arguments: str, cwd: Path | None = None) -> None:
+    """One line and no more where `code` runs the program, which is interrupted."""
     run = subprocess.run(
-        [sys.executable, "-c", code, "profile", "a", "1,1", "2,2"],
+        [sys.executable, "-c", code, *arguments],
         capture_output=True,
         text=True,
         check=False,
+        cwd=cwd,
     )
     assert (run.returncode, run.stderr) == (
         130,
@@ -316,14 +307,13 @@ import splitknit.io.results
 splitknit.io.results.read_result = run
 sys.exit(cli.main())
 """
-    assert_interrupted_profile(code)
+    assert_interrupted(code, "profile", "a", "1,1", "2,2")
 
 
 def test_an_interrupt_in_a_finalizer_ends_the_verb() -> None:
     """Python prints and forgets an exception of a weak reference's callback."""
     code = """
 import os, signal, sys, time, weakref
-from splitknit import pipeline
 from splitknit.cli import main as cli
 
 class Image:
@@ -339,7 +329,7 @@ import splitknit.io.results
 splitknit.io.results.read_result = interrupted
 sys.exit(cli.main())
 """
-    assert_interrupted_profile(code)
+    assert_interrupted(code, "profile", "a", "1,1", "2,2")
 
 
 def test_an_interrupt_at_exit_is_no_traceback() -> None:
