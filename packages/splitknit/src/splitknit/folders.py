@@ -282,10 +282,10 @@ def reconstruct_to_folder(
             progress("writing", 0.8)
             scaled = small.rig.camera.scale_known
             truth = read_truth(small) if small.truth is not None and scaled else None
-            of_steps, files = write_steps(kept, target)
+            step_facts, step_files = write_steps(kept, target)
             if keep_steps:
-                result = replace(result, facts={**result.facts, "steps": of_steps})
-            facts = write_files(result, small, target, truth, files)
+                result = replace(result, facts={**result.facts, "steps": step_facts})
+            facts = write_files(result, small, target, truth, step_files)
         except BadInput as error:  # stages know arrays only
             raise BadInput(f"{source}: {error}") from error
     progress("done", 1.0)

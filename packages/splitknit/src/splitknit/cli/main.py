@@ -88,9 +88,9 @@ def _interrupt_again(unraisable: sys.UnraisableHookArgs) -> None:
     import _thread
     import threading
 
-    again = threading.Timer(0.01, _thread.interrupt_main, [INTERRUPTS[-1]])
-    again.daemon = True
-    again.start()
+    timer = threading.Timer(0.01, _thread.interrupt_main, [INTERRUPTS[-1]])
+    timer.daemon = True
+    timer.start()
 
 
 def _leave(*unused: object) -> NoReturn:

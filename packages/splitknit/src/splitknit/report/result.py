@@ -447,9 +447,9 @@ def write_files(
     capture: Capture | None,
     target: Path,
     truth: Truth | None = None,
-    others: Sequence[str] = (),
+    step_files: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Write the files of :func:`write_results` into an existing folder; `others` are there."""
+    """Write the files of :func:`write_results` into a folder where `step_files` lie."""
     heights = result.unit.heights(result.height_mm)
     unit, pitch = ("mm", result.pitch_mm) if result.unit.known else ("pixel", None)
     mesh = FILES[0] if is_finger(result) else "surface.ply"
@@ -490,7 +490,7 @@ def write_files(
         write_picture(target / "preview.png", report.above, origin)
         for job in jobs:
             job.result()
-    return report.write(target, [*files, *others])
+    return report.write(target, [*files, *step_files])
 
 
 def preview_html(result: Reconstruction) -> str:
