@@ -231,7 +231,10 @@ def test_steps_are_kept_where_a_preset_has_them(twin_folder: Path, tmp_path: Pat
     assert main(["reconstruct", str(twin_folder), "--preset", "snk", *options]) == 0
     report = json.loads((out / "report.json").read_text())
     steps = report["facts"]["steps"]
-    assert set(steps) == {"chromaticity", "enhanced", "direct", "global"}
+    assert set(steps) == {"chromaticity", "raw_mask", "enhanced", "direct", "global"}
+    raw_mask = srgb_light(out / steps["raw_mask"]["files"][0])
+    assert set(np.unique(raw_mask)) == {0.0, 1.0}
+    assert 0.1 < raw_mask.mean() < 0.6
     light = {
         name: srgb_light(out / steps[name]["files"][0]) * steps[name]["white"]
         for name in ("enhanced", "direct", "global")
@@ -241,7 +244,8 @@ def test_steps_are_kept_where_a_preset_has_them(twin_folder: Path, tmp_path: Pat
     assert np.abs(sum_error[light["direct"] > 0]).max() < 1e-3 * light["enhanced"].max()
     assert {file for step in steps.values() for file in step["files"]} <= set(report["files"])
     assert main(["reconstruct", str(twin_folder), "--preset", "ea", *options]) == 0
-    assert [file.name for file in (out / "steps").iterdir()] == ["chromaticity.png"]
+    names = [file.name for file in (out / "steps").iterdir()]
+    assert sorted(names) == ["chromaticity.png", "raw_mask.png"]
     assert main(["reconstruct", str(twin_folder), "--preset", "ea", "--out", str(out)]) == 0
     assert not (out / "steps").exists()
 

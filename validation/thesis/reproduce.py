@@ -124,11 +124,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "figures" in needed
         else 0
     )
-    print(
-        size.words(examined, options.jobs)
-        if needed
-        else "Nothing is made: these figures have commands of their own."
-    )
+    if not needed:
+        print("Nothing is made: these figures have commands of their own.")
+    elif needed == ["steps"]:
+        print("One capture, reconstructed once: a minute.")
+    else:
+        print(size.words(examined, options.jobs))
     if options.dry_run:
         return 0
     started = time.perf_counter()
@@ -171,34 +172,14 @@ def _steps(
     """The commands, each of which goes on where it was stopped."""
     people, store, tables = (str(options.out / name) for name in ("people", "store", "tables"))
     verb = [sys.executable, "-m", "splitknit"]
-    fingers = ["--fingers", size.fingers] if size.fingers else []
-    yield [
-        *verb,
-        "simulate",
-        "population",
-        "--out",
-        people,
-        "--seed",
-        str(SEED),
-        "--scale",
-        str(options.scale),
-        "--subjects",
-        str(size.people),
-        "--sessions",
-        str(size.sessions),
-        *fingers,
-        "--set",
-        "sessions.partial_share=0",
-        "--workers",
-        str(options.jobs),
-    ]
     if "steps" in needed:
-        first = (size.fingers or "right_index").split(",")[0]
-        capture = str(options.out / "people" / "S01" / "session_1" / first)
+        yield _simulation(options, options.out / "finger", Size(1, 1, "right_index"))
+        capture = str(options.out / "finger" / "S01" / "session_1" / "right_index")
         steps = str(options.out / "steps")
         yield [*verb, "reconstruct", capture, "--preset", "snk", "--keep-steps", "--out", steps]
     if set(needed) == {"steps"}:
         return
+    yield _simulation(options, options.out / "people", size)
     cluster = (
         ["--scheduler", options.scheduler] if options.scheduler else ["--jobs", str(options.jobs)]
     )
@@ -238,6 +219,21 @@ def _steps(
             "--jobs",
             str(options.jobs),
         ]
+
+
+def _simulation(options: argparse.Namespace, out: Path, size: Size) -> list[str]:
+    """The command that simulates a population of this size."""
+    return [
+        *(sys.executable, "-m", "splitknit", "simulate", "population"),
+        *("--out", str(out)),
+        *("--seed", str(SEED)),
+        *("--scale", str(options.scale)),
+        *("--subjects", str(size.people)),
+        *("--sessions", str(size.sessions)),
+        *(("--fingers", size.fingers) if size.fingers else ()),
+        *("--set", "sessions.partial_share=0"),
+        *("--workers", str(options.jobs)),
+    ]
 
 
 def _do(step: Sequence[str]) -> None:

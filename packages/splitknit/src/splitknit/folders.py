@@ -206,9 +206,9 @@ def reconstruct_to_folder(
     strict
         Write nothing where a note says that something spoils the surface.
     keep_steps
-        Write what the steps made of the photographs into steps/: their chromaticity where the
-        finger is looked for by it, and, of the thesis's presets, each white photograph enhanced,
-        its direct and its global light.
+        Write what the steps made of the photographs into steps/: their chromaticity and its raw
+        mask where the finger is looked for by it, and, of the thesis's presets, each white
+        photograph enhanced, its direct and its global light.
     photographs
         What is known of photographs in place of a capture folder.
 

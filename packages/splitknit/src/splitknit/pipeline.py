@@ -52,8 +52,8 @@ def reconstruct(
         Saves time; changes nothing.
     kept : dict, optional
         Takes the images of those steps that the preset has and that no memory knows, linear light:
-        ``chromaticity`` (h, w, 3), reduced, and ``enhanced``, ``direct`` and ``global`` (L, h, w)
-        of the finger's window under each white light.
+        ``chromaticity`` (h, w, 3) and its cluster ``raw_mask`` (h, w), reduced, and ``enhanced``,
+        ``direct`` and ``global`` (L, h, w) of the finger's window under each white light.
 
     Returns
     -------

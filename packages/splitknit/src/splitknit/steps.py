@@ -171,7 +171,7 @@ def images_are_read() -> None:
 
 
 def keep(name: str, make: Callable[[], FloatArray]) -> None:
-    """Keep images (L, h, w), or a picture (h, w, 3), of a step, where the run keeps them."""
+    """Keep images (L, h, w), or one picture, of a step, where the run keeps them."""
     run = _RUN.get()
     if run is not None and run.kept is not None:
         run.kept[name] = make()

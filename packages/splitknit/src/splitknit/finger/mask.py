@@ -6,6 +6,7 @@ sub-pixel interpolation to the full grid: finer than the skin's own blur, and a 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -286,6 +287,8 @@ def _seed(
     for features in candidates[-1:] if colour_alone else candidates:
         second, separation = _two_means(features.reshape(-1, features.shape[2]))
         cluster = _finger_cluster(second.reshape(brightness.shape), brightness)
+        if features.shape[2] == 3:
+            keep("raw_mask", functools.partial(cluster.astype, np.float32))
         region = tidy(cluster)
         purity = float(region.sum()) / max(float(cluster.sum()), 1.0)
         if separation * purity > clearest:

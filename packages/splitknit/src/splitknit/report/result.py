@@ -430,7 +430,7 @@ def write_steps(
     facts: dict[str, dict[str, Any]] = {}
     for name, images in kept.items():
         white = max(float(images.max()), 1e-12)
-        of_lights = name != "chromaticity"
+        of_lights = name not in {"chromaticity", "raw_mask"}
         make_folder(target / "steps")
         files = []
         for number, image in enumerate(images if of_lights else [images]):
