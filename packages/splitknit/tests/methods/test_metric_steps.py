@@ -549,17 +549,16 @@ class TestOnPixels:
         np.testing.assert_array_equal(surface.albedo, first.albedo)
         np.testing.assert_allclose(surface.uncertainty_um, 1000 * first.deviation_mm, rtol=1e-6)
 
-    def test_modelled_ridges_have_the_gain_and_its_uncertainty(self, monkeypatch):
+    def test_the_gain_is_part_of_the_uncertainty_of_modelled_ridges(self, monkeypatch):
         known = {"relief_rms_um": 20.0, "relief_error_um": 2.0, "gloss": 1.0}
-        facts = {"relief_by": "network", "gain": 1.2, "gain_uncertainty": 0.5, **known}
+        facts = {"relief_by": "network", "gain_uncertainty": 0.5, **known}
         first = replace(skin_surface(), facts=facts)
         monkeypatch.setattr(metric, "metric_skin", lambda *_: first)
         images = skin_images()
         surface = metric._on_pixels(images, METRIC, 0.3)
         fields = first.relief_mm, first.deviation_mm, first.shape_mm
-        relief_mm, stated = metric.gain_corrected(*fields, images.grid, facts)
-        np.testing.assert_array_equal(surface.ridge_mm, relief_mm)
-        expected = 1000 * np.hypot(stated, 0.3 * relief_mm)
+        stated = metric.stated_deviation(*fields, images.grid, 0.5)
+        expected = 1000 * np.hypot(stated, 0.3 * first.relief_mm)
         np.testing.assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
 
     def test_what_jpeg_took_is_part_of_the_uncertainty(self, chosen):

@@ -58,13 +58,13 @@ from splitknit.skin.images import SEPARATED_BY, MetricSettings, SkinImages, work
 from splitknit.skin.learned import (
     Networks,
     features,
-    gain_corrected,
     refined_shape,
     relief_by_network,
     relief_network,
     relief_of_output,
+    stated_deviation,
     variance_restored,
-    with_gain,
+    with_gain_uncertainty,
 )
 from splitknit.skin.light import slant_of
 from splitknit.skin.parameters import KNIT_MM, LITTLE_GLOSS, SCATTERING_SD
@@ -338,7 +338,7 @@ def relief_and_shape(
     output = (
         upright if films is not None else relief_network(network, TURNED, upright)(light.fields)
     )
-    fields = light.fields[[3, 4, 7, 8, 13, 14]]
+    slopes = light.fields[[3, 4, 7, 8]]
     del light
     first = relief_of_output(upright, levels, grid, smooth)
     for _ in range(refinements):
@@ -347,7 +347,7 @@ def relief_and_shape(
         smooth = on_fine_grid(shape.height_mm, images)
     if films is None:
         relief = variance_restored(relief_of_output(output, levels, grid, smooth))
-        return smooth, with_gain(relief, fields, grid)
+        return smooth, with_gain_uncertainty(relief, slopes, grid)
     light = features(
         films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films))
     )
@@ -418,15 +418,16 @@ def _on_pixels(images: SkinImages, settings: PipelineSettings, jpeg_loss: float)
         surface = metric_side(images, skin, p, networks)
     else:
         surface = metric_skin(images.bands, images.grid, skin, p, networks)
-    relief_by = surface.facts["relief_by"]
-    if relief_by == "network":
-        relief_mm, deviation_mm = gain_corrected(
-            surface.relief_mm, surface.deviation_mm, surface.shape_mm, images.grid, surface.facts
-        )
-        surface = replace(surface, relief_mm=relief_mm, deviation_mm=deviation_mm)
     shape_mm = images.on_pixels(surface.shape_mm)
     ridge_mm = images.on_pixels(surface.relief_mm)
-    deviation_mm = np.hypot(images.on_pixels(surface.deviation_mm), jpeg_loss * ridge_mm)
+    relief_by = surface.facts["relief_by"]
+    deviation_mm = surface.deviation_mm
+    if relief_by == "network":
+        gain = surface.facts["gain_uncertainty"]
+        deviation_mm = stated_deviation(
+            surface.relief_mm, deviation_mm, surface.shape_mm, images.grid, gain
+        )
+    deviation_mm = np.hypot(images.on_pixels(deviation_mm), jpeg_loss * ridge_mm)
     return FingerSurface(
         shape_mm + ridge_mm,
         ridge_mm,

@@ -26,8 +26,6 @@ from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import Lighting, lighting, predict, reached_by_all, slant_of, trust_of
 from splitknit.skin.parameters import (
-    GAIN,
-    GAIN_SHADING,
     GAIN_UNCERTAINTY,
     HIDDEN_RIDGES_UM,
     LEVEL_MM,
@@ -40,7 +38,6 @@ from splitknit.skin.parameters import (
     RIDGE_SLOPES_MM,
     SLANT_DEG,
     SLANT_ERROR,
-    VISIBLE_RIDGES,
 )
 from splitknit.skin.relief import ReliefEstimate
 from splitknit.skin.shape import (
@@ -303,57 +300,37 @@ def variance_restored(estimate: ReliefEstimate) -> ReliefEstimate:
     return replace(estimate, relief_mm=estimate.relief_mm * gain, facts=facts)
 
 
-def with_gain(estimate: ReliefEstimate, fields: FloatArray, grid: Grid) -> ReliefEstimate:
-    """The estimate with the facts ``gain``, the factor that its heights lack, and
-    ``gain_uncertainty``, that factor's standard deviation.
+def with_gain_uncertainty(
+    estimate: ReliefEstimate, slopes: FloatArray, grid: Grid
+) -> ReliefEstimate:
+    """The estimate with the fact ``gain_uncertainty``: the standard deviation of the common factor
+    of its heights.
 
-    `fields`: (6, h, w) of the features, slopes of red and blue and second harmonics of green. Red
-    light goes far inside skin, so its shading by ridges is that of light which the boundary
-    diffuses. Where it is faint beside that of blue, light enters refracted: then shading says
-    little of how high the ridges are, and the network answers with what is usual. So it does where
-    noise hides the relief in both the shading and the specular reflection.
+    `slopes`: (4, h, w) of the features, red x and y, blue x and y. Red light goes far inside skin,
+    so its shading by ridges is that of light which the boundary diffuses. Where it is faint beside
+    that of blue, light enters refracted: then shading says little of how high the ridges are, and
+    the network answers with what is usual.
     """
-    assert estimate.output is not None
     inner = estimate.trust > 0.9
     ridges = np.stack(height_gradients(estimate.relief_mm, grid.pitch_mm))[:, inner]
-    red, blue, harmonics = np.split(fields[:, inner], 3)
-    red_sum, blue_sum = (float((slopes * ridges).sum()) for slopes in (red, blue))
-    shading = red_sum / blue_sum if blue_sum > 0 else RED_SHADING[0]
-    visible = np.hypot(
-        _correlation(blue, ridges), _correlation(harmonics, estimate.output[4:6, inner])
-    )
-    gain = float(np.interp(shading, GAIN_SHADING, GAIN))
-    hidden = max(
-        np.interp(shading, RED_SHADING, (1, 0)), np.interp(visible, VISIBLE_RIDGES, (1, 0))
-    )
-    hidden *= min(HIDDEN_RIDGES_UM / max(gain * estimate.facts["relief_rms_um"], 1e-6), 1.0)
-    uncertainty = float(np.hypot(GAIN_UNCERTAINTY, hidden))
-    return replace(
-        estimate, facts={**estimate.facts, "gain": gain, "gain_uncertainty": uncertainty}
-    )
+    red, blue = (float((pair[:, inner] * ridges).sum()) for pair in (slopes[:2], slopes[2:]))
+    hidden = np.interp(red / blue if blue > 0 else 0.0, RED_SHADING, (1, 0))
+    hidden *= min(HIDDEN_RIDGES_UM / max(estimate.facts["relief_rms_um"], 1e-6), 1.0)
+    facts = {**estimate.facts, "gain_uncertainty": float(np.hypot(GAIN_UNCERTAINTY, hidden))}
+    return replace(estimate, facts=facts)
 
 
-def _correlation(a: FloatArray, b: FloatArray) -> float:
-    return float((a * b).sum() / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12))
+def stated_deviation(
+    relief_mm: FloatArray, deviation_mm: FloatArray, shape_mm: FloatArray, grid: Grid, gain: float
+) -> FloatArray:
+    """(h, w) deviation of a relief by the network that includes the uncertainty `gain` of the
+    factor of its heights.
 
-
-def gain_corrected(
-    relief_mm: FloatArray,
-    deviation_mm: FloatArray,
-    shape_mm: FloatArray,
-    grid: Grid,
-    facts: Mapping[str, Any],
-) -> tuple[FloatArray, FloatArray]:
-    """(h, w) relief by the network whose ridges are multiplied by their ``gain``, and its deviation
-    with that of the gain; `facts`: of :func:`with_gain`.
-
-    `deviation_mm`: of the estimate. The gain's is a part of it already, which is taken away.
+    `deviation_mm`: of the estimate. The factor is a part of it already, which is taken away.
     """
     own = np.interp(slant_of(shape_mm, grid.pitch_mm), SLANT_DEG, OWN_ERROR).astype(np.float32)
-    slow = grid.smooth(relief_mm, grid.mask, RIDGE_BAND_MM)
-    ridges = np.float32(facts["gain"]) * (relief_mm - slow)
-    of_gain = np.float32(facts["gain_uncertainty"]) * ridges
-    return slow + ridges, np.asarray(np.hypot(own * deviation_mm, of_gain))
+    ridges = relief_mm - grid.smooth(relief_mm, grid.mask, RIDGE_BAND_MM)
+    return np.asarray(np.hypot(own * deviation_mm, np.float32(gain) * ridges))
 
 
 def refined_shape(

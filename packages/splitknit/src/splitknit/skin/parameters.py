@@ -72,43 +72,23 @@ may be none.
 Unit: fraction. Chosen on: simulated fingers (boundaries of all kinds). Range: not known.
 """
 
-GAIN_SHADING = (0.1, 0.45)
-"""Shading by ridges in red over that in blue, between which `GAIN` is interpolated. Refracted light
-gave -0.1 to 0.2, diffused light 0.25 to 0.35, the simulator 0.37 to 0.48; skin that scatters little
-gives less.
-
-Unit: none. Chosen on: path-traced fingers (four of validation/path_traced/make.py, eight of its
-``--drawn 8 --seed 1``, ten of ``--drawn 10 --seed 2``, two by others) and four simulated ones.
-Range: not known.
-"""
-
-GAIN = (1.22, 0.91)
-"""Factor that the network's heights lack there: a line through these fingers' factors.
-
-Unit: none. Chosen on: the same fingers. Range: not known.
-"""
-
-GAIN_UNCERTAINTY = 0.15
+GAIN_UNCERTAINTY = 0.175
 """Standard deviation of the common factor of all heights where shading shows the ridges.
 
-Unit: fraction. Chosen on: the same fingers. Range: not known.
+Unit: fraction. Chosen on: path-traced fingers (three of validation/path_traced/make.py, eight of
+its ``--drawn 8 --seed 1``) and four simulated ones. Range: not known.
 """
 
-RED_SHADING = (-0.3, 0.45)
-"""Shading in red over that in blue, where it says nothing of the ridges' height, and where all.
+RED_SHADING = (0.15, 0.4)
+"""Shading by ridges in red over that in blue, where it says nothing of the ridges' height, and
+where all. Refracted light gave -0.1 to 0.2, diffused light 0.25 to 0.35, the simulator 0.37 to
+0.48; skin that scatters little gives less.
 
 Unit: none. Chosen on: the same fingers. Range: not known.
 """
 
-VISIBLE_RIDGES = (0.25, 0.35)
-"""Correlation of what the network estimates with the slopes in blue and with the specular
-reflection (root of the sum of squares), where ridges are lost in noise, and where they are not.
-
-Unit: none. Chosen on: the same fingers. Range: not known.
-"""
-
-HIDDEN_RIDGES_UM = 18.0
-"""Standard deviation of the ridges that are not seen.
+HIDDEN_RIDGES_UM = 15.0
+"""Standard deviation of the ridges that shading does not show.
 
 Unit: um, rms. Chosen on: the same fingers. Range: not known.
 """
