@@ -3,6 +3,7 @@ with the surface."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,11 +19,13 @@ from splitknit.diagnosis.parameters import (
     INDEPENDENT_PLACES,
     NOTED_HEIGHT,
     NOTED_SHIFT_MM,
+    PLACES_EXACT,
     PLACES_MM,
     PLACES_NOISE,
     PLACES_OF_SOUND,
     PLACES_PLANE_MM,
     PLACES_PRIOR,
+    PLACES_ROUNDS,
     PLACES_STEPS,
     SAMPLED_MM,
     STEEPEST_NZ,
@@ -114,22 +117,31 @@ def fitted_places(  # noqa: PLR0917
             ]
         )
 
-    def jacobian(unknowns: Array) -> Array:
-        now = residuals(unknowns)
-        return np.column_stack(
-            [(residuals(unknowns + step) - now) / step.sum() for step in np.diag(PLACES_STEPS)]
-        )
-
-    from scipy.optimize import least_squares  # slow to load
-
-    fit = least_squares(
-        residuals, np.zeros(3), jacobian, x_scale=PLACES_STEPS, xtol=1e-3, max_nfev=12
-    )
-    residual = _solved(stack, rig, view, height_mm, chosen, fit.x)[0]
-    height, x_mm, y_mm = (float(each) for each in fit.x - PLACES_OF_SOUND)
+    unknowns = _least_squares(residuals, np.zeros(3))
+    residual = _solved(stack, rig, view, height_mm, chosen, unknowns)[0]
+    height, x_mm, y_mm = (float(each) for each in unknowns - PLACES_OF_SOUND)
     return LightPlaces(
         float(np.exp(height)), (x_mm, y_mm), float(np.sqrt((residual**2 * weight**2).mean()))
     )
+
+
+def _least_squares(residuals: Callable[[Array], Array], unknowns: Array) -> Array:
+    """Unknowns (3,) with the least sum of squares, by Gauss-Newton steps that are halved while it
+    grows; importing ``scipy.optimize`` would take longer than the fit."""
+    scale = np.array(PLACES_STEPS)
+    now = residuals(unknowns)
+    for _ in range(PLACES_ROUNDS):
+        slopes = [(residuals(unknowns + step) - now) / step.sum() for step in np.diag(scale)]
+        change = np.linalg.lstsq(np.column_stack(slopes), -now, rcond=None)[0]
+        change = np.clip(change, -np.array(PLACES_PRIOR), PLACES_PRIOR)
+        then = residuals(unknowns + change)
+        while not then @ then <= now @ now and np.abs(change / scale).max() > PLACES_EXACT:
+            change /= 2
+            then = residuals(unknowns + change)
+        unknowns, now = unknowns + change, then
+        if np.abs(change / scale).max() <= PLACES_EXACT:
+            break
+    return unknowns
 
 
 def _solved(  # noqa: PLR0917

@@ -303,6 +303,16 @@ PLACES_STEPS = (0.02, 0.5, 0.5)
 
 Unit: none, mm, mm. Chosen on: judgement. Range: not known.
 """
+PLACES_ROUNDS = 12
+"""Gauss-Newton steps at most; three to six are usual.
+
+Unit: none. Chosen on: judgement. Range: not known.
+"""
+PLACES_EXACT = 0.01
+"""Change of the unknowns, over `PLACES_STEPS`, at which the fit ends.
+
+Unit: none. Chosen on: judgement. Range: not known.
+"""
 PLACES_OF_SOUND = (0.0, 0.0, -1.5)
 """What is fitted to sound fingers (mean of the three unknowns), which scattering and the finger's
 shape leave.
