@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.imaging.geometry import bounding_box
 from splitknit.io.images import png_bytes
 from splitknit.io.parameters import DIVERGING
 from splitknit.model import BoolArray, FloatArray, Reconstruction
@@ -90,10 +91,13 @@ def fields_to_frame(
     """Several fields of one mask, as :func:`to_frame` averages them, and their weight."""
     step = float(np.sqrt(abs(np.linalg.det(frame.input_from_picture[:2, :2]))))
     factor = max(1, int(step + 0.01))  # side of whole blocks up to the picture's pixel
-    middle = (factor - 1) / 2
-    input_from_block = np.array([[factor, 0.0, middle], [0.0, factor, middle], [0.0, 0.0, 1.0]])
+    rows, columns = bounding_box(mask) if mask.any() else (slice(1), slice(1))
+    top, left = (part.start // factor * factor for part in (rows, columns))
+    window = slice(top, rows.stop), slice(left, columns.stop)
+    x, y = (start + (factor - 1) / 2 for start in (left, top))
+    input_from_block = np.array([[factor, 0.0, x], [0.0, factor, y], [0.0, 0.0, 1.0]])
     block_from_picture = (np.linalg.inv(input_from_block) @ frame.input_from_picture)[:2]
-    inside = mask.view(np.uint8)
+    inside = mask[window].view(np.uint8)
 
     def averaged(field: NDArray[np.generic]) -> FloatArray:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -104,7 +108,7 @@ def fields_to_frame(
     divisor = np.maximum(weight, 1e-3)
     averages = []
     for field in fields:
-        values = averaged(field)
+        values = averaged(field[window])
         values /= divisor if values.ndim == 2 else divisor[..., None]
         values[weight <= 1e-3] = 0.0
         averages.append(values)

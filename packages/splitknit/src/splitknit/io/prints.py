@@ -4,17 +4,16 @@ TIFF written."""
 from __future__ import annotations
 
 import contextlib
-import io
 import os
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
+from zlib import crc32
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from splitknit.errors import BadInput, require
@@ -22,7 +21,16 @@ from splitknit.files import read_bytes
 from splitknit.findings import Finding
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json
-from splitknit.io.images import BMP, JPEG, PNG, TIFFS, decoded, encode_tiff, read_header
+from splitknit.io.images import (
+    BMP,
+    JPEG,
+    PNG,
+    TIFFS,
+    decoded,
+    encode_tiff,
+    png_bytes,
+    read_header,
+)
 from splitknit.io.parameters import COLOUR_LEVELS, COLOURED_PART, MAX_BYTES, PRINT_PIXELS
 from splitknit.io.photos import decode_photo
 from splitknit.io.provenance import canonical_json
@@ -30,6 +38,10 @@ from splitknit.io.provenance import canonical_json
 SIGNATURES = (PNG, JPEG, *TIFFS, BMP)
 """First bytes of the files that :func:`decode_print_image` reads."""
 KINDS = "PNG, TIFF, JPEG and BMP"
+_METRES_PER_INCH = 0.0254
+"""Source: definition of the inch."""
+_HEAD = 33
+"""Bytes of a PNG file's signature and first chunk. Source: PNG, sections 5.2 and 11.2.1."""
 _SMALLEST_JPEG2000 = 32
 """Pixels of a print's shorter side at least. Source: JPEG 2000, five halvings."""
 
@@ -97,10 +109,16 @@ def encode_png(image: NDArray[Any], text: Mapping[str, str], ppi: float | None =
             f"the text '{keyword}' holds a NUL character, which PNG cannot store.",
         )
         chunks.add_text(keyword, value)
-    stream = io.BytesIO()
-    resolution = {} if ppi is None else {"dpi": (ppi, ppi)}
-    Image.fromarray(image).save(stream, "PNG", pnginfo=chunks, compress_level=1, **resolution)
-    return stream.getvalue()
+    if ppi is not None:
+        per_metre = round(ppi / _METRES_PER_INCH)
+        chunks.add(b"pHYs", struct.pack(">IIB", per_metre, per_metre, 1))
+    # Pillow, which tries five filters for every row, takes 2.5 times as long
+    data = png_bytes(image, cv2.IMWRITE_PNG_STRATEGY_RLE, cv2.IMWRITE_PNG_FILTER_UP)
+    added = b"".join(
+        struct.pack(">I", len(content)) + kind + content + struct.pack(">I", crc32(kind + content))
+        for kind, content, _ in chunks.chunks
+    )
+    return data[:_HEAD] + added + data[_HEAD:]
 
 
 def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
