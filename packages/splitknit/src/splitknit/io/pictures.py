@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -132,13 +133,19 @@ def colour(values: FloatArray, low: float, high: float, *, diverging: bool = Fal
     index = np.clip(np.nan_to_num((values - low) / max(high - low, 1e-12) * 255.0), 0, 255).astype(
         np.uint8
     )
+    return np.asarray(_colours(diverging)[index])
+
+
+@cache
+def _colours(diverging: bool) -> ColourArray:
+    """(256, 3) of a scale; OpenCV would compute it for every picture."""
+    index = np.arange(256)
     if not diverging:
-        return np.asarray(cv2.applyColorMap(index, cv2.COLORMAP_CIVIDIS)[..., ::-1], dtype=np.uint8)
+        scale = cv2.applyColorMap(index.astype(np.uint8)[None], cv2.COLORMAP_CIVIDIS)
+        return np.asarray(scale[0, :, ::-1], dtype=np.uint8)
     positions = np.linspace(0.0, 255.0, len(_DIVERGING))
-    table = np.stack(
-        [np.interp(np.arange(256), positions, _DIVERGING[:, c]) for c in range(3)], axis=1
-    )
-    return np.asarray(np.round(table).astype(np.uint8)[index])
+    table = np.stack([np.interp(index, positions, _DIVERGING[:, c]) for c in range(3)], axis=1)
+    return np.round(table).astype(np.uint8)
 
 
 def on_paper(picture: ColourArray, weight: FloatArray) -> ColourArray:
