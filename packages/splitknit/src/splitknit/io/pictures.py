@@ -5,11 +5,13 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.imaging.geometry import bounding_box
 from splitknit.io.images import png_bytes
 from splitknit.io.parameters import DIVERGING
 from splitknit.model import BoolArray, FloatArray, Reconstruction
@@ -90,10 +92,13 @@ def fields_to_frame(
     """Several fields of one mask, as :func:`to_frame` averages them, and their weight."""
     step = float(np.sqrt(abs(np.linalg.det(frame.input_from_picture[:2, :2]))))
     factor = max(1, int(step + 0.01))  # side of whole blocks up to the picture's pixel
-    middle = (factor - 1) / 2
-    input_from_block = np.array([[factor, 0.0, middle], [0.0, factor, middle], [0.0, 0.0, 1.0]])
+    rows, columns = bounding_box(mask) if mask.any() else (slice(1), slice(1))
+    top, left = (part.start // factor * factor for part in (rows, columns))
+    window = slice(top, rows.stop), slice(left, columns.stop)
+    x, y = (start + (factor - 1) / 2 for start in (left, top))
+    input_from_block = np.array([[factor, 0.0, x], [0.0, factor, y], [0.0, 0.0, 1.0]])
     block_from_picture = (np.linalg.inv(input_from_block) @ frame.input_from_picture)[:2]
-    inside = mask.view(np.uint8)
+    inside = mask[window].view(np.uint8)
 
     def averaged(field: NDArray[np.generic]) -> FloatArray:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -104,7 +109,7 @@ def fields_to_frame(
     divisor = np.maximum(weight, 1e-3)
     averages = []
     for field in fields:
-        values = averaged(field)
+        values = averaged(field[window])
         values /= divisor if values.ndim == 2 else divisor[..., None]
         values[weight <= 1e-3] = 0.0
         averages.append(values)
@@ -128,13 +133,19 @@ def colour(values: FloatArray, low: float, high: float, *, diverging: bool = Fal
     index = np.clip(np.nan_to_num((values - low) / max(high - low, 1e-12) * 255.0), 0, 255).astype(
         np.uint8
     )
+    return np.asarray(_colours(diverging)[index])
+
+
+@cache
+def _colours(diverging: bool) -> ColourArray:
+    """(256, 3) of a scale; OpenCV would compute it for every picture."""
+    index = np.arange(256)
     if not diverging:
-        return np.asarray(cv2.applyColorMap(index, cv2.COLORMAP_CIVIDIS)[..., ::-1], dtype=np.uint8)
+        scale = cv2.applyColorMap(index.astype(np.uint8)[None], cv2.COLORMAP_CIVIDIS)
+        return np.asarray(scale[0, :, ::-1], dtype=np.uint8)
     positions = np.linspace(0.0, 255.0, len(_DIVERGING))
-    table = np.stack(
-        [np.interp(np.arange(256), positions, _DIVERGING[:, c]) for c in range(3)], axis=1
-    )
-    return np.asarray(np.round(table).astype(np.uint8)[index])
+    table = np.stack([np.interp(index, positions, _DIVERGING[:, c]) for c in range(3)], axis=1)
+    return np.round(table).astype(np.uint8)
 
 
 def on_paper(picture: ColourArray, weight: FloatArray) -> ColourArray:

@@ -7,6 +7,7 @@ import contextlib
 import io
 import os
 import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -99,7 +100,8 @@ def encode_png(image: NDArray[Any], text: Mapping[str, str], ppi: float | None =
         chunks.add_text(keyword, value)
     stream = io.BytesIO()
     resolution = {} if ppi is None else {"dpi": (ppi, ppi)}
-    Image.fromarray(image).save(stream, "PNG", pnginfo=chunks, compress_level=1, **resolution)
+    packing = {"compress_level": 1, "compress_type": zlib.Z_RLE}  # smaller and faster than usual
+    Image.fromarray(image).save(stream, "PNG", pnginfo=chunks, **packing, **resolution)
     return stream.getvalue()
 
 

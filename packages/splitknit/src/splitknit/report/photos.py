@@ -94,7 +94,11 @@ def small_images(band: Band) -> PixelArray:
     """The images (L, h, w, C) of a band as small as a picture of the report shows them."""
     size, _ = _fitting(band.pixels.shape[1:3])
     small = []
-    for image in band.pixels:
+    for photograph in band.pixels:
+        image = photograph
+        while min(image.shape[0] / size[1], image.shape[1] / size[0]) >= 2:
+            half = image.shape[1] // 2, image.shape[0] // 2  # OpenCV is fast at whole factors
+            image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
         small.append(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
         let_go(band.pixels)
     return np.stack(small).reshape(len(small), size[1], size[0], -1)

