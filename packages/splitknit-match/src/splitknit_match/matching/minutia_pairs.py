@@ -20,6 +20,8 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid
 from splitknit_match.matching.parameters import (
     ARM_MM,
+    DRIFT_MM,
+    DRIFT_STEPS,
     FITS_MM,
     FITS_RAD,
     MARGIN_MM,
@@ -31,8 +33,11 @@ from splitknit_match.matching.parameters import (
     RELAXATION_STEPS,
     SIGMOID_CENTRE,
     SIGMOID_SLOPE,
+    SLIP_MM,
+    SLIP_REACH_MM,
     STRETCH,
     TURN_RAD,
+    UNPAIRED,
 )
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.prints.minutiae_record import Minutiae
@@ -206,6 +211,34 @@ def agreeing(laid: Directed, minutiae: Directed) -> float:
     fit = np.exp(-((distance / FITS_MM) ** 2) - (turn / FITS_RAD) ** 2)
     mutual = (fit == fit.max(axis=1, keepdims=True)) & (fit == fit.max(axis=0))
     return float(fit[mutual].sum())
+
+
+def drifted(laid: Directed, minutiae: Directed, places: Places) -> Places:
+    """Shifts (N,), mm, at `places` that move some minutiae, laid on others, onto these as smoothly
+    as skin slips.
+
+    Source: A. Myronenko and X. Song, "Point set registration: coherent point drift", IEEE TPAMI
+    32(12), 2010. Different from it: the noise falls by a schedule, directions count, the shift's
+    prior is in millimetres, and each minutia may be claimed once.
+    """
+    offset = minutiae[0][:, None] - laid[0]
+    turn = -0.5 * (_wrapped(minutiae[1][:, None] - laid[1]) / FITS_RAD) ** 2
+    prior = _slip(minutiae[0], minutiae[0])
+    shift = weighted = np.zeros_like(minutiae[0])
+    for sigma_mm in np.geomspace(*DRIFT_MM, DRIFT_STEPS):
+        fit = np.exp(turn - 0.5 * (np.abs(offset - shift[:, None]) / sigma_mm) ** 2)
+        fit /= np.maximum(fit.sum(axis=1, keepdims=True), fit.sum(axis=0)) + UNPAIRED
+        weight = np.maximum(fit.sum(axis=1), 1e-6)
+        target = (fit * offset).sum(axis=1) / weight
+        weighted = np.linalg.solve(prior + np.diag(sigma_mm**2 / weight), target)
+        shift = prior @ weighted
+    return np.asarray(_slip(places, minutiae[0]) @ weighted)
+
+
+def _slip(a: Places, b: Places) -> Array:
+    """(N, M) covariance, mm2, of the skin's shift along one axis between places."""
+    near = np.exp(-0.5 * (np.abs(a[:, None] - b) / SLIP_REACH_MM) ** 2)
+    return np.asarray(SLIP_MM[0] ** 2 * near + SLIP_MM[1] ** 2)
 
 
 def _similarity(a: Cylinders, b: Cylinders) -> FloatArray:
