@@ -142,7 +142,9 @@ def fused_match(
         best = _best_pose(left, right, pairings)
         overlap_mm2 = best.ridge.overlap_mm2
     else:
-        best = _best_alignment(left, right, pairings, SURE if sure is None else sure)
+        best = _best_alignment(
+            left, right, pairings, SURE if sure is None else sure, drift=minutiae is not None
+        )
     correlation = best.correlation
     if minutiae is not None:
         count, possible = _agreeing_minutiae(left, right, best.patches, best.affine, best.bend)
@@ -233,29 +235,25 @@ class _Alignment:
     ridge: RidgeMatch
 
 
-def _best_alignment(a: Prepared, b: Prepared, pairings: list[Pairing], sure: float) -> _Alignment:
-    """The alignment that ridges and minutiae agree on best."""
+def _best_alignment(
+    a: Prepared, b: Prepared, pairings: list[Pairing], sure: float, *, drift: bool
+) -> _Alignment:
+    """The alignment that ridges and, where they `drift`, minutiae agree on best."""
     starts = [pairing.affine(a.band, b.band) for pairing in pairings]
     if not pairings or pairings[0].support < sure:
         starts = likely_alignments(a.views, b.views) + starts
-    by_minutiae = a.cylinders is not None and b.cylinders is not None
     tried = []
     for affine in starts:
-        bend = _bend(a, b, b.first, affine) if by_minutiae else None
-        agreement = compare_patches(b.first, a.band, affine, bend)
-        count = _agreeing_minutiae(a, b, b.first, affine, bend)[0] if by_minutiae else 0.0
-        tried.append((agreement.evidence + PER_MINUTIA * count, affine, agreement))
-    _, affine, agreement = max(tried, key=itemgetter(0))
-    bend = None
-    if by_minutiae:
-        bend = _bend(a, b, b.patches, affine)
-    else:
+        first, bend = _bends(a, b, affine) if drift else (None, None)
+        agreement = compare_patches(b.first, a.band, affine, first)
+        count = _agreeing_minutiae(a, b, b.first, affine, first)[0] if drift else 0.0
+        tried.append((agreement.evidence + PER_MINUTIA * count, affine, agreement, bend))
+    _, affine, agreement, bend = max(tried, key=itemgetter(0))
+    if not drift:
         affine = refined(a, b, affine, agreement)
     agreement = compare_patches(b.patches, a.band, affine, bend)
     ridge = scored(a, b, agreement)
-    agreement, bend = _followed(
-        a, b.patches, affine, agreement, bend, times=1 if by_minutiae else BENDS
-    )
+    agreement, bend = _followed(a, b.patches, affine, agreement, bend, times=1 if drift else BENDS)
     return _Alignment(b.patches, affine, bend, agreement.mean, ridge)
 
 
@@ -291,20 +289,27 @@ def _followed(
     return agreement, bend
 
 
-def _bend(a: Prepared, b: Prepared, patches: PatchGrid, affine: Affine) -> FloatArray:
-    """Smooth shifts (rows, columns, 2) of the grid's patches that bring minutiae onto each other
-    where B lies so on A."""
+def _bends(a: Prepared, b: Prepared, affine: Affine) -> list[FloatArray]:
+    """Smooth shifts (rows, columns, 2) of the first patches and of those for the score that bring
+    minutiae onto each other where B lies so on A."""
     assert a.cylinders is not None
     assert b.cylinders is not None
-    pitch_mm = patches.pitch_mm
-    in_b, b_own, cells = (
-        pitch_mm * (position @ [1, 1j])
-        for position in (_laid(a, affine), b.pixels(b.cylinders.place), patches.every_centre)
+    grids = b.first, b.patches
+    pitch_mm = b.template.pitch_mm
+    in_b, own, *centres = (
+        pitch_mm * (position @ np.array([1, 1j]))
+        for position in (
+            _laid(a, affine),
+            b.pixels(b.cylinders.place),
+            *(grid.every_centre for grid in grids),
+        )
     )
     turn = a.cylinders.turn + _angle(affine)
-    shift = drifted((in_b, turn), (b_own, b.cylinders.turn), cells) / pitch_mm
-    shifts = np.stack([shift.real, shift.imag], axis=1, dtype=np.float32)
-    return shifts.reshape(*patches.grid, 2)
+    shifts = drifted((in_b, turn), (own, b.cylinders.turn), centres)
+    return [
+        (shift / pitch_mm).astype(np.float32).reshape(*grid.grid, 2)
+        for grid, shift in zip(grids, shifts, strict=True)
+    ]
 
 
 def _laid(a: Prepared, affine: Affine) -> Positions:

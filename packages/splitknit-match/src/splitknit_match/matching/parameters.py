@@ -206,7 +206,7 @@ of the patches.
 Unit: none. Chosen on: simulated presses with pulls. Range: 0.1 to 0.3.
 """
 
-BY_BOTH = (3.5044, 19.9265, -10.2292)
+BY_BOTH = (3.5044, 19.9267, -10.2292)
 """Logistic regression of prints that both show minutiae: weights of agreeing minutiae and of
 correlation, and offset, which is also the score where nothing was compared. Both classes have equal
 weight.
