@@ -215,25 +215,25 @@ def agreeing(laid: Directed, minutiae: Directed) -> float:
 
 
 def drifted(laid: Directed, minutiae: Directed, places: Sequence[Places]) -> list[Array]:
-    """Shifts (N, 2), mm to the right and up, at each of `places` that move some minutiae, laid on
-    others, onto these as smoothly as skin slips.
+    """Shifts (N, 2), mm along the real and the imaginary axis, at each of `places` that move some
+    minutiae, laid on others, onto these as smoothly as skin slips.
 
     Source: A. Myronenko and X. Song, "Point set registration: coherent point drift", IEEE TPAMI
     32(12), 2010. Different from it: the noise falls by a schedule, directions count, the shift's
     prior is in millimetres, and each minutia may be claimed once.
     """
     offset = (minutiae[0][:, None] - laid[0]).astype(np.complex64)
-    right, up = np.ascontiguousarray(offset.real), np.ascontiguousarray(offset.imag)
+    real, imag = np.ascontiguousarray(offset.real), np.ascontiguousarray(offset.imag)
     turned = _wrapped(minutiae[1][:, None] - laid[1]).astype(np.float32)
     turn = -0.5 * (turned / np.float32(FITS_RAD)) ** 2
     prior = _slip(minutiae[0], minutiae[0])
     shift = weighted = np.zeros((len(prior), 2))
     for sigma_mm in np.geomspace(*DRIFT_MM, DRIFT_STEPS):
         x, y = shift.astype(np.float32).T[..., None]
-        fit = np.exp(turn - np.float32(0.5 / sigma_mm**2) * ((right - x) ** 2 + (up - y) ** 2))
+        fit = np.exp(turn - np.float32(0.5 / sigma_mm**2) * ((real - x) ** 2 + (imag - y) ** 2))
         fit /= np.maximum(fit.sum(axis=1, keepdims=True), fit.sum(axis=0)) + np.float32(UNPAIRED)
         weight = np.maximum(fit.sum(axis=1, dtype=float), 1e-6)
-        target = np.stack([(fit * right).sum(axis=1), (fit * up).sum(axis=1)]) / weight
+        target = np.stack([(fit * real).sum(axis=1), (fit * imag).sum(axis=1)]) / weight
         weighted = np.linalg.solve(prior + np.diag(sigma_mm**2 / weight), target.T)
         shift = prior @ weighted
     return [_slip(part, minutiae[0]) @ weighted for part in places]
