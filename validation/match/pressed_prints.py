@@ -24,6 +24,8 @@ PRESS_CENTRE_MM = 13.5
 """Above the first crease lies the middle of a press."""
 MAX_STRAIN = 0.4
 """By which a pull stretches skin at most."""
+STICKS = (0.1, 0.6)
+"""Half axes of the middle that sticks under a pull over those of the contact."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +38,8 @@ class PressRanges:
     stretch_mm: float = 0.25
     """Of the skin's smooth shift, over distances of 4 mm."""
     pull_mm: float = 0.0
-    """Of a pull along each axis: by that the rim has slipped where the middle sticks."""
+    """By which the rim has slipped along each axis while the middle stuck."""
     twist_deg: float = 0.0
-    stick: tuple[float, float] = (0.1, 0.6)
-    """Half axes of the middle that sticks over those of the contact."""
     half_width_mm: tuple[float, float] = (5.5, 8.5)
     half_height_mm: tuple[float, float] = (7.0, 10.0)
     moisture: tuple[float, float] = (0.42, 0.88)
@@ -93,15 +93,15 @@ def pulled(
     r: PressRanges,
     rng: np.random.Generator,
 ) -> NDArray[np.complex128]:
-    """By which skin has slipped at places (H, W), mm, under a pull and a twist; `edge` is 0 in the
-    middle and 1 at the rim of the contact.
+    """By how much, mm, skin has slipped at places (H, W), mm, under a pull and a twist; `edge` is 0
+    in the middle of the contact and 1 at its rim.
 
     Source: R. Cappelli, D. Maio and D. Maltoni, "Modelling plastic distortion in fingerprint
     images", ICAPR 2001 (distance from what sticks, brake).
     """
     pull = rng.normal(0, r.pull_mm) + 1j * rng.normal(0, r.pull_mm)
     twist = np.deg2rad(np.clip(rng.normal(0, r.twist_deg), -2 * r.twist_deg, 2 * r.twist_deg))
-    stick = rng.uniform(*r.stick)
+    stick = rng.uniform(*STICKS)
     brake = 0.5 - 0.5 * np.cos(np.pi * np.clip((edge - stick) / (1.3 - stick), 0, 1))
     shift = brake * (pull + place * (np.exp(1j * twist) - 1))
     strain = max(float(np.abs(part).max()) for part in np.gradient(shift, PITCH_MM))
