@@ -161,3 +161,15 @@ def test_surfaces_against_prints(
     facts = json.loads(capsys.readouterr().out)
     assert (facts["genuine"], facts["impostors"], facts["failures"]) == (3, 6, [])
     assert (facts["eer_percent"][0], facts["impostors_accepted"]) == (0, 0)
+
+
+def test_a_pull_strains_the_skin_between_what_sticks_and_the_rim() -> None:
+    x, y = np.meshgrid(np.linspace(-8, 8, 316), np.linspace(-9, 9, 355))
+    with scripts_of(VALIDATION / "match") as named:
+        presses = named("pressed_prints")
+        edge = np.hypot(x / 8, y / 9)
+        shift = presses.pulled(x + 1j * y, edge, presses.PULLED, np.random.default_rng(3))
+    assert np.abs(shift[edge < presses.STICKS[0]]).max() == 0
+    assert 0.3 < np.abs(shift[edge > 0.9]).max() < 4
+    strains = [np.abs(part).max() for part in np.gradient(shift, presses.PITCH_MM)]
+    assert 0.05 < max(strains) <= presses.MAX_STRAIN + 1e-9

@@ -13,7 +13,8 @@ acquire is a rejection. Intervals of 95 % draw fingers (five a set).
 What is made of a print is kept in ``--cache`` by the print's hash: name another one after a change
 of extraction. Scores are not kept. ``--leave-one-set-out`` fits the fusion's constants anew for
 every set, on the evidence of all others; the shipped ones are fitted on simulated presses alone
-(``--fit``, 24 fingers, four presses, seeds from 92,000), of which no finger is reported.
+(``--fit``, 24 fingers, four presses, every other one pulled, seeds from 92,000), of which no
+finger is reported.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pressed_prints import finger, press
+from pressed_prints import PULLED, finger, press
 
 from splitknit.io.prints import read_print_png
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
@@ -130,8 +131,14 @@ def prints(name: str, job: Job) -> tuple[list[Image], list[str], list[int]]:
         file = job.cache / f"{name}_{job.fingers}_{job.presses}.pickle"
         if not file.is_file():
             masters = [finger(SIMULATED[name] + k) for k in range(job.fingers)]
+            ranges = [None, PULLED if name == "simulated_fit" else None]
             kept(
-                file, [press(master, number) for master in masters for number in range(job.presses)]
+                file,
+                [
+                    press(master, number, ranges[number % 2])
+                    for master in masters
+                    for number in range(job.presses)
+                ],
             )
         images = pickle.loads(file.read_bytes())
         owner = [f"{k}" for k in range(job.fingers) for _ in range(job.presses)]

@@ -22,6 +22,10 @@ PRINT_SIZE = (380, 380)
 """Rows and columns of a print, pixels at 500 ppi."""
 PRESS_CENTRE_MM = 13.5
 """Above the first crease lies the middle of a press."""
+MAX_STRAIN = 0.4
+"""By which a pull stretches skin at most."""
+STICKS = (0.1, 0.6)
+"""Half axes of the middle that sticks under a pull over those of the contact."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +37,9 @@ class PressRanges:
     along_mm: float = 2.5
     stretch_mm: float = 0.25
     """Of the skin's smooth shift, over distances of 4 mm."""
+    pull_mm: float = 0.0
+    """By which the rim has slipped along each axis while the middle stuck."""
+    twist_deg: float = 0.0
     half_width_mm: tuple[float, float] = (5.5, 8.5)
     half_height_mm: tuple[float, float] = (7.0, 10.0)
     moisture: tuple[float, float] = (0.42, 0.88)
@@ -47,6 +54,8 @@ class PressRanges:
 
 
 DEFAULT = PressRanges()
+PULLED = replace(DEFAULT, pull_mm=0.8, twist_deg=6.0)
+"""Presses on which skin is strained by up to 40 %."""
 SENSORS = {
     "fvc2000_db2b": replace(DEFAULT, half_width_mm=(6.0, 7.5), half_height_mm=(8.0, 9.5)),
     "fvc2000_db3b": replace(DEFAULT, half_width_mm=(7.5, 11.0), half_height_mm=(9.6, 16.0)),
@@ -78,6 +87,27 @@ def finger(seed: int) -> MasterPrint:
     )
 
 
+def pulled(
+    place: NDArray[np.complex128],
+    edge: NDArray[np.float64],
+    r: PressRanges,
+    rng: np.random.Generator,
+) -> NDArray[np.complex128]:
+    """By how much, mm, skin has slipped at places (H, W), mm, under a pull and a twist; `edge` is 0
+    in the middle of the contact and 1 at its rim.
+
+    Source: R. Cappelli, D. Maio and D. Maltoni, "Modelling plastic distortion in fingerprint
+    images", ICAPR 2001 (distance from what sticks, brake).
+    """
+    pull = rng.normal(0, r.pull_mm) + 1j * rng.normal(0, r.pull_mm)
+    twist = np.deg2rad(np.clip(rng.normal(0, r.twist_deg), -2 * r.twist_deg, 2 * r.twist_deg))
+    stick = rng.uniform(*STICKS)
+    brake = 0.5 - 0.5 * np.cos(np.pi * np.clip((edge - stick) / (1.3 - stick), 0, 1))
+    shift = brake * (pull + place * (np.exp(1j * twist) - 1))
+    strain = max(float(np.abs(part).max()) for part in np.gradient(shift, PITCH_MM))
+    return shift * min(1.0, MAX_STRAIN / max(strain, 1e-9))
+
+
 def press(master: MasterPrint, seed: int, ranges: PressRanges | None = None) -> NDArray[np.uint8]:
     """One print (380, 380) uint8 of a finger."""
     r = ranges or PressRanges()
@@ -90,14 +120,19 @@ def press(master: MasterPrint, seed: int, ranges: PressRanges | None = None) -> 
     contact = 1 / (1 + np.exp((edge - 1) / 0.015))
     turn = np.deg2rad(np.clip(rng.normal(0, r.turn_deg), -25, 25))
     bent = [r.stretch_mm * smooth_noise(rng, PRINT_SIZE, 4 / PITCH_MM) for _ in range(2)]
+    x_skin, y_skin = x, y
+    if r.pull_mm or r.twist_deg:
+        away = np.hypot(x / half[0], y / half[1])
+        slip = pulled(x + 1j * y, away, r, np.random.default_rng([master.seed, seed, 23]))
+        x_skin, y_skin = x + slip.real, y + slip.imag
     u = (
-        -(np.cos(turn) * x - np.sin(turn) * y)
+        -(np.cos(turn) * x_skin - np.sin(turn) * y_skin)
         + bent[0]
         + np.clip(rng.normal(0, r.across_mm), -5, 5)
     )
     v = (
-        np.sin(turn) * x
-        + np.cos(turn) * y
+        np.sin(turn) * x_skin
+        + np.cos(turn) * y_skin
         + bent[1]
         + PRESS_CENTRE_MM
         + np.clip(rng.normal(0, r.along_mm), -6, 5)

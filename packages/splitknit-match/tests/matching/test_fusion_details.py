@@ -136,10 +136,10 @@ def test_two_patch_fits_follow_a_start(side: Template) -> None:
 
 def test_scores_are_sums_of_weighted_evidence() -> None:
     nan = math.nan
-    assert fused_score(nan, nan, 4.0, nan) == pytest.approx(0.9498 * 4 - 4.6929)
-    assert fused_score(nan, nan, 0.0, nan) == -9.6266
-    assert fused_score(nan, nan, nan, nan) == -9.6266
-    assert fused_score(0.5, 0.4, 7.0, nan) == pytest.approx(3.7198 * 0.5 + 18.8171 * 0.4 - 9.6266)
+    assert fused_score(nan, nan, 4.0, nan) == pytest.approx(0.8927 * 4 - 3.947)
+    assert fused_score(nan, nan, 0.0, nan) == -10.2292
+    assert fused_score(nan, nan, nan, nan) == -10.2292
+    assert fused_score(0.5, 0.4, 7.0, nan) == pytest.approx(3.5044 * 0.5 + 19.9267 * 0.4 - 10.2292)
     for overlap_mm2, root in ((49.0, 7), (100.0, 10), (400.0, 10)):
         assert fused_score(nan, 0.4, nan, overlap_mm2) == pytest.approx(
             8.4813 * 0.4 + 0.5001 * 0.4 * root - 5.6423
@@ -330,20 +330,22 @@ def test_agreeing_minutiae_count_for_an_alignment(monkeypatch) -> None:
     monkeypatch.setattr(fusion, "compare_patches", compared)
     monkeypatch.setattr(fusion, "refined", lambda a, b, affine, agreement: affine)
     for of_pairing, of_ridges, shift in ((5.0, 1.0, 0), (1.0, 5.0, 7)):
-        counts = {True: of_pairing, False: of_ridges}
+        counts = {True: of_ridges, False: of_pairing}
         monkeypatch.setattr(
             fusion,
             "_agreeing_minutiae",
-            lambda a, b, patches, affine, bend, counts=counts: (counts[bend is not None], 9.0),
+            lambda a, b, patches, affine, bend, counts=counts: (counts[affine[0, 2] > 3], 9.0),
         )
         bends.clear()
-        best = fusion._best_alignment(a, b, [pairing], math.inf)
-        # scored where minutiae bend it, as it is otherwise
-        assert bends[2:] == [(True, shift == 0), (True, True), (True, True)]
+        best = fusion._best_alignment(a, b, [pairing], math.inf, drift=True)
+        assert bends == [(False, True), (False, True), (True, True), (True, True)]
         np.testing.assert_allclose(best.affine[:, 2], [shift, shift], atol=1.0)
         # minutiae that are sure leave no alignment of ridges to choose
-        sure = fusion._best_alignment(a, b, [pairing], pairing.support)
+        sure = fusion._best_alignment(a, b, [pairing], pairing.support, drift=True)
         np.testing.assert_allclose(sure.affine, pairing.affine(a.band, b.band))
+    bends.clear()
+    fusion._best_alignment(a, b, [], math.inf, drift=False)
+    assert bends == [(False, False), (True, False), (True, True), (True, True)]
 
 
 def test_a_match_without_details_was_not_compared() -> None:

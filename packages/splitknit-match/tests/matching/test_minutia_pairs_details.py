@@ -13,6 +13,7 @@ from splitknit_match.matching.minutia_pairs import (
     Cylinders,
     Pairing,
     agreeing,
+    drifted,
     minutia_cylinders,
     on_ridges,
     pair_minutiae,
@@ -232,6 +233,17 @@ def test_two_alignments_are_proposed_the_better_one_first() -> None:
     assert pairings[0].support > pairings[1].support > 3
     assert len(pairings[0].a) >= 9
     assert len(pairings[1].a) >= 5
+
+
+def test_minutiae_drift_as_a_pulled_skin_slips() -> None:
+    """Those of a skin that is shifted by 1.2 mm at one end find theirs; still ones stay."""
+    place = laid(1, 0, 0).place
+    turn = np.linspace(0, 6, 14)
+    slip = 1.2 / (1 + np.exp(-place.imag / 1.5)) * np.exp(0.4j)
+    (shift,) = drifted((place, turn), (place + slip, turn), [place + slip])
+    residual = np.abs(shift @ [1, 1j] - slip)
+    assert np.median(residual) < 0.2 < np.median(np.abs(slip))
+    assert np.abs(drifted((place, turn), (place, turn), [place])[0]).max() < 0.02
 
 
 @pytest.mark.parametrize(("count", "alignments"), [(1, 0), (2, 0), (3, 1)])

@@ -85,6 +85,11 @@ class PatchGrid:
         """(P, 2) columns and rows in B."""
         return self.corner[:, ::-1] + (self.side - 1) / 2
 
+    @property
+    def every_centre(self) -> Positions:
+        """(rows * columns, 2) columns and rows in B of the whole grid's patches."""
+        return self.origin + self.step * np.indices(self.grid)[::-1].reshape(2, -1).T
+
     def nearest(self, positions: Positions) -> tuple[Indices, ...]:
         """Rows (N,) and columns (N,) of the grid's cells nearest to positions (N, 2) in B."""
         cells = np.rint((positions - self.origin) / self.step)[:, ::-1].astype(np.int64)

@@ -23,12 +23,17 @@ from splitknit_match.matching.elastic import (
     PatchGrid,
     Positions,
     bent,
-    bent_by,
     compare_patches,
     overlap_correlation,
     shown_in_a,
 )
-from splitknit_match.matching.minutia_pairs import Pairing, agreeing, on_ridges, pair_minutiae
+from splitknit_match.matching.minutia_pairs import (
+    Pairing,
+    agreeing,
+    drifted,
+    on_ridges,
+    pair_minutiae,
+)
 from splitknit_match.matching.parameters import (
     BENDS,
     BY_BOTH,
@@ -137,7 +142,9 @@ def fused_match(
         best = _best_pose(left, right, pairings)
         overlap_mm2 = best.ridge.overlap_mm2
     else:
-        best = _best_alignment(left, right, pairings, SURE if sure is None else sure)
+        best = _best_alignment(
+            left, right, pairings, SURE if sure is None else sure, drift=minutiae is not None
+        )
     correlation = best.correlation
     if minutiae is not None:
         count, possible = _agreeing_minutiae(left, right, best.patches, best.affine, best.bend)
@@ -228,28 +235,25 @@ class _Alignment:
     ridge: RidgeMatch
 
 
-def _best_alignment(a: Prepared, b: Prepared, pairings: list[Pairing], sure: float) -> _Alignment:
-    """The alignment that ridges and minutiae agree on best."""
-    starts: list[tuple[Affine, Pairing | None]] = [
-        (pairing.affine(a.band, b.band), pairing) for pairing in pairings
-    ]
+def _best_alignment(
+    a: Prepared, b: Prepared, pairings: list[Pairing], sure: float, *, drift: bool
+) -> _Alignment:
+    """The alignment that ridges and, where they `drift`, minutiae agree on best."""
+    starts = [pairing.affine(a.band, b.band) for pairing in pairings]
     if not pairings or pairings[0].support < sure:
-        starts = [(affine, None) for affine in likely_alignments(a.views, b.views)] + starts
+        starts = likely_alignments(a.views, b.views) + starts
     tried = []
-    for affine, pairing in starts:
-        bend = None if pairing is None else _bend(a, b, b.first, pairing)
-        agreement = compare_patches(b.first, a.band, affine, bend)
-        count = _agreeing_minutiae(a, b, b.first, affine, bend)[0] if pairings else 0.0
-        tried.append((agreement.evidence + PER_MINUTIA * count, affine, pairing, agreement))
-    _, affine, pairing, agreement = max(tried, key=itemgetter(0))
-    bend = None
-    if pairing is None:
+    for affine in starts:
+        first, bend = _bends(a, b, affine) if drift else (None, None)
+        agreement = compare_patches(b.first, a.band, affine, first)
+        count = _agreeing_minutiae(a, b, b.first, affine, first)[0] if drift else 0.0
+        tried.append((agreement.evidence + PER_MINUTIA * count, affine, agreement, bend))
+    _, affine, agreement, bend = max(tried, key=itemgetter(0))
+    if not drift:
         affine = refined(a, b, affine, agreement)
-    else:
-        bend = _bend(a, b, b.patches, pairing)
     agreement = compare_patches(b.patches, a.band, affine, bend)
     ridge = scored(a, b, agreement)
-    agreement, bend = _followed(a, b.patches, affine, agreement, bend)
+    agreement, bend = _followed(a, b.patches, affine, agreement, bend, times=1 if drift else BENDS)
     return _Alignment(b.patches, affine, bend, agreement.mean, ridge)
 
 
@@ -274,19 +278,50 @@ def _followed(
     affine: Affine,
     agreement: Agreement,
     bend: FloatArray | None = None,
+    *,
+    times: int = BENDS,
 ) -> tuple[Agreement, FloatArray]:
     """Patches after their shifts were smoothed and followed, and these shifts."""
-    for _ in range(BENDS):
+    for _ in range(times):
         bend = bent(patches, agreement, bend)
         agreement = compare_patches(patches, a.band, affine, bend)
     assert bend is not None
     return agreement, bend
 
 
-def _bend(a: Prepared, b: Prepared, patches: PatchGrid, pairing: Pairing) -> FloatArray:
-    """Shifts that bring paired minutiae onto each other."""
-    residual = (pairing.b - pairing.moved(pairing.a)) / a.template.pitch_mm
-    return bent_by(patches, b.pixels(pairing.b), np.stack([residual.real, -residual.imag], axis=1))
+def _bends(a: Prepared, b: Prepared, affine: Affine) -> list[FloatArray]:
+    """Smooth shifts (rows, columns, 2) of the first patches and of those for the score that bring
+    minutiae onto each other where B lies so on A."""
+    assert a.cylinders is not None
+    assert b.cylinders is not None
+    grids = b.first, b.patches
+    pitch_mm = b.template.pitch_mm
+    in_b, own, *centres = (
+        pitch_mm * (position @ np.array([1, 1j]))
+        for position in (
+            _laid(a, affine),
+            b.pixels(b.cylinders.place),
+            *(grid.every_centre for grid in grids),
+        )
+    )
+    turn = a.cylinders.turn + _angle(affine)
+    shifts = drifted((in_b, turn), (own, b.cylinders.turn), centres)
+    return [
+        (shift / pitch_mm).astype(np.float32).reshape(*grid.grid, 2)
+        for grid, shift in zip(grids, shifts, strict=True)
+    ]
+
+
+def _laid(a: Prepared, affine: Affine) -> Positions:
+    """(N, 2) columns and rows in B of A's minutiae."""
+    assert a.cylinders is not None
+    place = a.pixels(a.cylinders.place) - affine[:, 2]
+    return np.asarray(place @ np.linalg.inv(affine[:, :2]).T)
+
+
+def _angle(affine: Affine) -> float:
+    """By which A is turned, counter-clockwise."""
+    return math.atan2(affine[1, 0] - affine[0, 1], affine[0, 0] + affine[1, 1])
 
 
 def _order(side: Prepared) -> tuple[bytes, bytes]:
@@ -302,13 +337,12 @@ def _agreeing_minutiae(
     assert a.cylinders is not None
     assert b.cylinders is not None
     in_a: Positions = shown_in_a(patches, affine, bend, b.pixels(b.cylinders.place))
-    in_b = (a.pixels(a.cylinders.place) - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
     shown_by_a = on_ridges(a.template.valid, in_a)
-    shown_by_b = on_ridges(b.template.valid, in_b)
+    shown_by_b = on_ridges(b.template.valid, _laid(a, affine))
     offset_mm = (in_a - (np.array(a.template.valid.shape[::-1]) - 1) / 2) * a.template.pitch_mm
     place = (offset_mm[:, 0] - 1j * offset_mm[:, 1])[shown_by_a]
-    angle = math.atan2(affine[1, 0] - affine[0, 1], affine[0, 0] + affine[1, 1])
     count = agreeing(
-        (place, (b.cylinders.turn - angle)[shown_by_a]), (a.cylinders.place, a.cylinders.turn)
+        (place, (b.cylinders.turn - _angle(affine))[shown_by_a]),
+        (a.cylinders.place, a.cylinders.turn),
     )
     return count, math.sqrt(float(shown_by_a.sum()) * float(shown_by_b.sum()))

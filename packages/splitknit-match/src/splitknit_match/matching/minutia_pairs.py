@@ -10,6 +10,7 @@ skin stretches.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +21,8 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid
 from splitknit_match.matching.parameters import (
     ARM_MM,
+    DRIFT_MM,
+    DRIFT_STEPS,
     FITS_MM,
     FITS_RAD,
     MARGIN_MM,
@@ -31,8 +34,11 @@ from splitknit_match.matching.parameters import (
     RELAXATION_STEPS,
     SIGMOID_CENTRE,
     SIGMOID_SLOPE,
+    SLIP_MM,
+    SLIP_REACH_MM,
     STRETCH,
     TURN_RAD,
+    UNPAIRED,
 )
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.prints.minutiae_record import Minutiae
@@ -206,6 +212,37 @@ def agreeing(laid: Directed, minutiae: Directed) -> float:
     fit = np.exp(-((distance / FITS_MM) ** 2) - (turn / FITS_RAD) ** 2)
     mutual = (fit == fit.max(axis=1, keepdims=True)) & (fit == fit.max(axis=0))
     return float(fit[mutual].sum())
+
+
+def drifted(laid: Directed, minutiae: Directed, places: Sequence[Places]) -> list[Array]:
+    """Shifts (N, 2), mm along the real and the imaginary axis, at each of `places` that move some
+    minutiae, laid on others, onto these as smoothly as skin slips.
+
+    Source: A. Myronenko and X. Song, "Point set registration: coherent point drift", IEEE TPAMI
+    32(12), 2010. Different from it: the noise falls by a schedule, directions count, the shift's
+    prior is in millimetres, and each minutia may be claimed once.
+    """
+    offset = (minutiae[0][:, None] - laid[0]).astype(np.complex64)
+    real, imag = np.ascontiguousarray(offset.real), np.ascontiguousarray(offset.imag)
+    turned = _wrapped(minutiae[1][:, None] - laid[1]).astype(np.float32)
+    turn = -0.5 * (turned / np.float32(FITS_RAD)) ** 2
+    prior = _slip(minutiae[0], minutiae[0])
+    shift = weighted = np.zeros((len(prior), 2))
+    for sigma_mm in np.geomspace(*DRIFT_MM, DRIFT_STEPS):
+        x, y = shift.astype(np.float32).T[..., None]
+        fit = np.exp(turn - np.float32(0.5 / sigma_mm**2) * ((real - x) ** 2 + (imag - y) ** 2))
+        fit /= np.maximum(fit.sum(axis=1, keepdims=True), fit.sum(axis=0)) + np.float32(UNPAIRED)
+        weight = np.maximum(fit.sum(axis=1, dtype=float), 1e-6)
+        target = np.stack([(fit * real).sum(axis=1), (fit * imag).sum(axis=1)]) / weight
+        weighted = np.linalg.solve(prior + np.diag(sigma_mm**2 / weight), target.T)
+        shift = prior @ weighted
+    return [_slip(part, minutiae[0]) @ weighted for part in places]
+
+
+def _slip(a: Places, b: Places) -> Array:
+    """(N, M) covariance, mm2, of the skin's shift along one axis between places."""
+    near = np.exp(-0.5 * (np.abs(a[:, None] - b) / SLIP_REACH_MM) ** 2)
+    return np.asarray(SLIP_MM[0] ** 2 * near + SLIP_MM[1] ** 2)
 
 
 def _similarity(a: Cylinders, b: Cylinders) -> FloatArray:

@@ -199,14 +199,14 @@ Unit: none. Chosen on: not known. Range: 2 to 8 (photographs against simulated p
 docs/explain/tried.md).
 """
 
-PER_MINUTIA = 0.1
+PER_MINUTIA = 0.2
 """What an agreeing minutia counts when alignments are compared, beside correlation times the root
 of the patches.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated presses with pulls. Range: 0.1 to 0.3.
 """
 
-BY_BOTH = (3.7198, 18.8171, -9.6266)
+BY_BOTH = (3.5044, 19.9267, -10.2292)
 """Logistic regression of prints that both show minutiae: weights of agreeing minutiae and of
 correlation, and offset, which is also the score where nothing was compared. Both classes have equal
 weight.
@@ -214,7 +214,7 @@ weight.
 Unit: none. Chosen on: simulated prints (validation/match/fvc.py --fit). Range: not known.
 """
 
-BY_MINUTIAE = (0.9498, -4.6929)
+BY_MINUTIAE = (0.8927, -3.947)
 """Logistic regression of prints of which only minutiae could be compared: weight of the support of
 their alignment, and offset. Both classes have equal weight.
 
@@ -396,6 +396,37 @@ FITS_RAD = 0.35
 """Difference of directions at which a minutia laid on another counts 1/e.
 
 Unit: rad. Chosen on: not known. Range: not known.
+"""
+
+DRIFT_MM = (0.7, 0.25)
+"""Standard deviation of a minutia's place about its partner's, in the first and the last step of
+the drift.
+
+Unit: mm. Chosen on: simulated presses with pulls. Range: 0.5 to 1.0, 0.25 to 0.3.
+"""
+
+DRIFT_STEPS = 8
+"""Steps of the drift.
+
+Unit: none. Chosen on: simulated presses with pulls. Range: 8 to 15.
+"""
+
+SLIP_MM = (0.8, 0.3)
+"""Standard deviations of skin's shift along one axis: of its smooth part, and of the whole print.
+
+Unit: mm. Chosen on: simulated presses with pulls. Range: 0.4 to 1.0 (the smooth part).
+"""
+
+SLIP_REACH_MM = 4.0
+"""Distance over which the correlation of the smooth part falls to exp(-1/2).
+
+Unit: mm. Chosen on: simulated presses with pulls. Range: 3 to 6.
+"""
+
+UNPAIRED = 0.1
+"""Weight of a minutia having no partner, relative to one that lies on it.
+
+Unit: none. Chosen on: simulated presses with pulls. Range: 0.05 to 0.3.
 """
 
 # --- ridge
