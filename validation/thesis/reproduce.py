@@ -105,6 +105,10 @@ class Size:
         )
 
 
+ONE_FINGER = Size(1, 1, "right_index")
+"""Whose steps before photometric stereo are shown."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     wanted = chosen_figures(options.figures)
@@ -113,12 +117,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.fingers is not None
         else ("" if options.people >= 10 else RIGHT_HAND)
     )
-    size = Size(options.people, options.sessions, named)
     needed = [
         name
         for name in ("steps", "cases", "fusion", "figures")
         if any(figure.part == name for figure in wanted)
     ]
+    size = Size(options.people, options.sessions, named)
+    if needed == ["steps"]:
+        size = ONE_FINGER
     examined = (
         min(options.captures, 2 * size.people, size.captures // size.sessions)
         if "figures" in needed
@@ -173,11 +179,11 @@ def _steps(
     people, store, tables = (str(options.out / name) for name in ("people", "store", "tables"))
     verb = [sys.executable, "-m", "splitknit"]
     if "steps" in needed:
-        yield _simulation(options, options.out / "finger", Size(1, 1, "right_index"))
-        capture = str(options.out / "finger" / "S01" / "session_1" / "right_index")
+        yield _simulation(options, options.out / "finger", ONE_FINGER)
+        capture = str(options.out / "finger" / "S01" / "session_1" / ONE_FINGER.fingers)
         steps = str(options.out / "steps")
         yield [*verb, "reconstruct", capture, "--preset", "snk", "--keep-steps", "--out", steps]
-    if set(needed) == {"steps"}:
+    if needed == ["steps"]:
         return
     yield _simulation(options, options.out / "people", size)
     cluster = (
