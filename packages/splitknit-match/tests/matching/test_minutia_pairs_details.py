@@ -202,11 +202,6 @@ def laid(seed: int, angle_rad: float, shift: complex, count: int = 14) -> Cylind
     )
 
 
-def moved(pairing: Pairing, place: np.ndarray) -> np.ndarray:
-    """Places (N,) of A on B."""
-    return place * np.exp(1j * pairing.angle_rad) + complex(pairing.right_mm, pairing.up_mm)
-
-
 @pytest.mark.parametrize(("angle_rad", "shift"), [(0.0, 0), (0.7, 1.5 - 2j), (-2.9, 3 + 1j)])
 def test_pairs_find_how_minutiae_were_moved(angle_rad: float, shift: complex) -> None:
     a, b = laid(1, 0, 0), laid(1, angle_rad, shift)
@@ -214,7 +209,7 @@ def test_pairs_find_how_minutiae_were_moved(angle_rad: float, shift: complex) ->
     assert best.angle_rad == pytest.approx(angle_rad, abs=1e-6)
     assert complex(best.right_mm, best.up_mm) == pytest.approx(shift, abs=1e-6)
     assert len(best.a) == len(set(best.a)) == len(set(best.b)) == 14
-    np.testing.assert_allclose(moved(best, best.a), best.b, atol=1e-6)
+    np.testing.assert_allclose(best.moved(best.a), best.b, atol=1e-6)
     # similarity of each is 1: the root of the sum of fits, none with itself
     fits = minutia_pairs._compatible((a.place, a.turn), (b.place, b.turn))
     assert best.support == pytest.approx(math.sqrt(fits.sum() - 14), rel=1e-4)
@@ -270,8 +265,8 @@ def test_the_affine_map_of_a_pairing_is_that_of_its_places() -> None:
     pairing = Pairing(0.4, 1.0, 2.0, 5.0, np.zeros(0, complex), np.zeros(0, complex))
     affine = pairing.affine(a, b)
     for place in (0.5 + 1j, -1.5 - 2j):
-        on_b = moved(pairing, np.array([place]))[0]
-        column, row = affine @ [20 + 10 * on_b.real, 30 - 10 * on_b.imag, 1]
+        moved = pairing.moved(np.array([place]))[0]
+        column, row = affine @ [20 + 10 * moved.real, 30 - 10 * moved.imag, 1]
         assert (column, row) == pytest.approx((40 + 10 * place.real, 50 - 10 * place.imag))
 
 

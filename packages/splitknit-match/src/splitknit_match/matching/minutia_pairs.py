@@ -91,6 +91,10 @@ class Pairing:
         """Position in B to position in A."""
         return rigid(a, b, self.angle_rad, self.right_mm, -self.up_mm)
 
+    def moved(self, place: Places) -> Places:
+        """Places (N,) of A on B."""
+        return np.asarray(place * np.exp(1j * self.angle_rad) + complex(self.right_mm, self.up_mm))
+
 
 _LINE_MM = (2 * _RADIUS_MM / _CELLS * (np.arange(_CELLS) - (_CELLS - 1) / 2)).astype(np.float32)
 """Place of a cylinder's cells along one axis. Source: derived."""
