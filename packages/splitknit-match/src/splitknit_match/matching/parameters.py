@@ -250,7 +250,7 @@ Unit: none. Chosen on: not known. Range: not known.
 """
 
 SURE = 9.0
-"""Support of an alignment by minutiae from which ridges propose none: 429 of 544 matching pairs of
+"""Support of an alignment by minutiae from which ridges propose none: 429 of 548 matching pairs of
 real prints have it, none of the 14,000 pairs of other fingers that are most similar by minutiae.
 
 Unit: none. Chosen on: real prints (validation/gallery/index.py). Range: not known.
