@@ -58,7 +58,8 @@ def run_process(command: Sequence[str]) -> Run:
     started = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    text = process.stdout.read()
+    with process.stdout as stream:
+        text = stream.read()
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     wall = time.perf_counter() - started
@@ -230,7 +231,7 @@ def photographs(case: str) -> None:
     )
     run = run_process(command)
     result_mb = sum(file.stat().st_size for file in target.iterdir()) / 1e6
-    mesh_mb = (target / "phalange.ply").stat().st_size / 1e6
+    mesh_mb = (target / "surface.ply").stat().st_size / 1e6
     cells = (
         f"{run.wall_s:.0f} | {run.cpu_s:.0f} | {run.peak_mb:.0f} | {mesh_mb:.0f} | {result_mb:.0f}"
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from script_folder import scripts_of
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
@@ -81,3 +83,16 @@ def test_a_ratio_is_taken_round_by_round() -> None:
             timing.Row("", None, (1.0,) * 3, cpu) for cpu in ((1.0, 2.0, 4.0), (3.0, 6.0, 4.0))
         )
         assert timing.ratio(slower, faster) == 3.0
+
+
+@pytest.mark.slow
+def test_the_memory_of_photographs_is_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with scripts_of(BENCHMARKS) as script:
+        bench = script("bench_reconstruct")
+        monkeypatch.setattr(bench, "OUT", tmp_path)
+        bench.photographs("8x1")
+    name, limit, *figures = capsys.readouterr().out.strip("|\n ").split(" | ")
+    assert (name, limit) == ("8 of 1 MP", "-")
+    assert all(float(figure) > 0 for figure in figures)

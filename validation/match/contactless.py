@@ -15,7 +15,6 @@ on.
 from __future__ import annotations
 
 import argparse
-import json
 import pickle
 from dataclasses import replace
 from itertools import chain
@@ -29,6 +28,7 @@ from pressed_prints import SENSORS, press
 
 from splitknit import reconstruct
 from splitknit.errors import BadInput
+from splitknit.io.csv_table import csv_text
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.scores import Scores, ids_of
 from splitknit_match.matching.fusion import fused_match
@@ -40,7 +40,7 @@ from splitknit_match.prints.sources import Source, source_of, source_of_capture
 from splitknit_simulator import simulate_capture
 from splitknit_simulator.finger.finger import draw_finger
 
-OUT = Path(__file__).with_suffix(".json")
+OUT = Path(__file__).parent / "tables" / "contactless.csv"
 SEED = 96_000
 KINDS = {
     "relief": ("relief", None),
@@ -48,6 +48,18 @@ KINDS = {
     "photograph": ("photo", None),
     "photograph, unrolled": ("photo", "free"),
 }
+
+HEADER = [
+    "print",
+    "sensor",
+    *(
+        f"{rate}_percent{end}"
+        for rate in ("eer", "gar_at_far_1", "gar_at_far_0.1")
+        for end in ("", "_low", "_high")
+    ),
+    "genuine",
+    "impostors",
+]
 
 
 def captured(number: int, folder: Path, scale: float) -> dict[str, Template]:
@@ -96,6 +108,11 @@ def rates(scores: Scores, settings: BootstrapSettings) -> dict[str, Any]:
             "far_at_0": round(100 * float(np.nanmean(scores.impostor >= 0)), 2)}  # fmt: skip
 
 
+def table_row(row: dict[str, Any]) -> list[object]:
+    """Cells of the table after the print and the sensor."""
+    return [*row["eer"], *row["gar_far_1"], *row["gar_far_0.1"], row["genuine"], row["impostors"]]
+
+
 def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(
@@ -112,7 +129,7 @@ def main() -> None:
     fingers = range(options.fingers)
     presses = [pressed(k, options.work) for k in fingers]
     captures = [captured(k, options.work, options.scale) for k in fingers]
-    facts: dict[str, Any] = {"fingers": options.fingers, "scale": options.scale, "rates": {}}
+    rows: list[list[object]] = []
     ready = {name: [Prepared(press[name]) for press in presses] for name in REAL}
     for kind in KINDS:
         probes = [Prepared(capture[kind]) if kind in capture else None for capture in captures]
@@ -129,16 +146,15 @@ def main() -> None:
             parts[name] = [f"{i}" for i, _ in pairs], [f"{j}" for _, j in pairs], similarities
         left, right, score = zip(*(parts[name] for name in REAL), strict=True)
         parts["all"] = [*chain(*left)], [*chain(*right)], [*chain(*score)]
-        facts["rates"][kind] = {}
         for name, (own, pressed_fingers, similarity) in parts.items():
             ids = ids_of(own, pressed_fingers)
             row = rates(
                 Scores(ids.same, np.array(similarity), finger=ids, name=f"{kind} {name}"), settings
             )
-            facts["rates"][kind][name] = row
             print(f"{kind:22s}{name:14s}", row, flush=True)
+            rows.append([kind, name, *table_row(row)])
     if options.write:
-        OUT.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+        OUT.write_text(csv_text([HEADER, *rows]), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dome_photographs import COLOUR, PX_PER_MM, dome, from_40_mm
+from splitknit import steps
 from splitknit.errors import BadInput
-from splitknit.imaging.band import GREY_WEIGHTS, linear_stack
+from splitknit.imaging.band import GREY_WEIGHTS, grey_as_grey, linear_stack
 from splitknit.imaging.view import view_of
 from splitknit.methods import photometry
 from splitknit.methods.parameters import CLIPPED, MAX_SLOPE
@@ -300,3 +302,26 @@ class TestRelief:
         at_finest, beyond = gain(np.array([finest, 2 * finest]))
         assert beyond == at_finest
         assert gain(np.array([0.02 * finest]))[0] < 0.5 * at_finest
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells its memory")
+def test_photographs_in_a_file_are_let_go(white, monkeypatch):
+    monkeypatch.setattr(steps, "IN_MEMORY", 1_000_000)
+    count = len(white.band.pixels)
+    stack = steps.large_array((count, 1000, 1000, 3), np.dtype(np.uint8))
+    stack[...] = 90
+    everywhere = np.ones((1000, 1000), dtype=bool)
+    window = (slice(0, 1000), slice(0, 1000))
+    finger = replace(white.finger, wider=everywhere, window=window)
+    seen = replace(white, band=replace(white.band, pixels=stack), finger=finger)
+
+    def mapped_mb():
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+        return int(status.split("RssFile:")[1].split()[0]) / 1000
+
+    steps.let_go(stack)
+    before = mapped_mb()
+    assert grey_as_grey(seen.band).pixels.shape[-1] == 1
+    assert mapped_mb() < before + 0.2 * stack.nbytes / 1e6
+    images_seen(seen, without_clipped=True)
+    assert mapped_mb() < before + 0.2 * stack.nbytes / 1e6

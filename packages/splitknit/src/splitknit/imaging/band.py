@@ -376,11 +376,15 @@ def grey_as_grey(band: Band) -> Band:
         least = pixels.min(axis=-1)
         return bool((pixels.max(axis=-1) - least <= np.iinfo(pixels.dtype).max // 255).all())
 
-    # a coarse look first, which nearly all coloured images end at
-    def grey(pixels: PixelArray) -> bool:
-        return equal(pixels[:, ::16, ::16]) and all(equal(image) for image in pixels)
+    def every_equal(step: int) -> bool:
+        for image in band.pixels:
+            if not equal(image[::step, ::step]):
+                return False
+            let_go(band.pixels)
+        return True
 
-    if not has_colour(band) or not grey(band.pixels):
+    # a coarse look first, which nearly all coloured images end at
+    if not has_colour(band) or not every_equal(16) or not every_equal(1):
         return band
     ambient, transmission = band.ambient, band.transmission
     if ambient is not None and not equal(ambient):

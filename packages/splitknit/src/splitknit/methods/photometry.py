@@ -35,7 +35,7 @@ from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.presets import HeightSettings, NormalsSettings
 from splitknit.skin.grid import Slopes
-from splitknit.steps import step
+from splitknit.steps import let_go, step
 
 IMPOSSIBLE = (
     "the integrated heights exceed what the slopes allow over the width of the surface; give a"
@@ -75,6 +75,7 @@ def by_rows(
             clips = int(CLIPPED * np.iinfo(band.pixels.dtype).max)
             for image, stored in zip(images, band.pixels, strict=True):
                 image[(stored[window] >= clips).any(axis=-1)] = 0.0
+                let_go(band.pixels)
         return images
 
     normals = np.zeros((height, width, 3), dtype=np.float32)
@@ -101,7 +102,8 @@ def colour_albedo(photographs: FingerBand, albedo: FloatArray) -> FloatArray | N
     rows, columns = photographs.finger.window
     height, width = albedo.shape
     colour = np.zeros((height, width, 3), dtype=np.float32)
-    strip = max(1, IN_MEMORY // (4 * 3 * len(band.lights) * width))
+    # three channels, as many of what is dimmer than the mean, grey, and a byte of comparison
+    strip = max(1, IN_MEMORY // (4 * 8 * len(band.lights) * width))
     for top in range(0, height, strip):
         part = slice(top, min(top + strip, height))
         here = slice(rows.start + part.start, rows.start + part.stop)
