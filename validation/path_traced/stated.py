@@ -5,13 +5,12 @@ finger are wrong?
 
 Part of a finger's error is one common factor, the rest differs from place to place. So the error of
 one finger, over what is stated, is not near 1 even where the statement is right: it is
-sqrt(1 - s + s z^2), with s the factor's share of the stated variance and z normal. This compares
-the fingers with that.
+sqrt(1 - s + s z^2), with s the factor's share of the stated variance and z normal. Printed are how
+many fingers lie within, below and above the limits, and the largest; then the same drawn so.
 """
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from splitknit import read_capture, reconstruct
 from splitknit.errors import BadInput, require
+from splitknit.io.csv_table import csv_text
 from splitknit.io.npz import read_npz
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -42,10 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BadInput as error:
         print(error, file=sys.stderr)
         return 2
-    with TABLE.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    table = [list(rows[0]), *(row.values() for row in rows)]
+    TABLE.write_text(csv_text(table), encoding="utf-8")
     ratios, shares = (
         np.array([float(row[name]) for row in rows])
         for name in ("error_over_stated", "factor_share")
@@ -60,20 +58,15 @@ def scored(truth: Path) -> dict[str, str | float]:
     variance."""
     name = truth.name.removesuffix("_truth.npz")
     result = reconstruct(read_capture(truth.with_name(name)))
-    assert result.uncertainty_um is not None
-    arrays = {
-        "height_mm": result.height_mm,
-        "mask": result.mask,
-        "uncertainty_um": result.uncertainty_um,
-    }
+    arrays = {name: getattr(result, name) for name in ("height_mm", "mask", "uncertainty_um")}
     figures = score(arrays, read_npz(truth))
     correlation, gain, rms_um = (figures[f"ridge_{key}"] for key in ("corr", "gain", "rms_um"))
     # |a - b|^2 with a b = gain b^2, where a is the relief and b the true one
     true_um = rms_um / np.sqrt((gain / correlation) ** 2 + 1 - 2 * gain)
     stated_um = rms_um / figures["error_over_stated"]
     factor_sd = result.facts["optics"]["gain_uncertainty"]
-    row: dict[str, str | float] = {
-        "finger": name,
+    print(name, flush=True)
+    row = {
         "ridge_correlation": correlation,
         "ridge_gain": gain,
         "ridge_rms_um": rms_um,
@@ -82,8 +75,7 @@ def scored(truth: Path) -> dict[str, str | float]:
         "factor_sd": factor_sd,
         "factor_share": (factor_sd * gain / correlation * true_um / stated_um) ** 2,
     }
-    print(name, flush=True)
-    return {key: round(value, 3) if key != "finger" else value for key, value in row.items()}
+    return {"finger": name, **{key: round(value, 3) for key, value in row.items()}}
 
 
 def summary(ratios: NDArray[np.float64]) -> tuple[int, int, int, float]:
