@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from rough_dome import scene
-from splitknit.io.plain import capture_of_arrays
-from splitknit.methods.photographs import FingerPhotographs, prepared
+from splitknit.methods.photographs import FingerBand, FingerPhotographs, photographs_of
 from splitknit.model import Camera
+from splitknit.observation.plain import capture_of_arrays
 from splitknit.presets import PRESETS
 
 PX_PER_MM = 10.0
@@ -36,8 +36,33 @@ def dome(
             stack = stack[..., None] * np.asarray(colour)
         pixels = np.rint(stack * 65535).astype(np.uint16)
     photographed, _ = capture_of_arrays(pixels, lights, mask, px_per_mm, np.ones(len(lights)))
-    photographs = prepared(photographed, PRESETS[preset])
-    return replace(photographs, capture=replace(photographs.capture, **capture))
+    photographs = photographs_of(photographed, PRESETS[preset].finding())
+    observation = replace(photographs.observation, **capture)
+    return replace(photographs, observation=observation)
+
+
+def stored_as(band: FingerBand, **changes: Any) -> FingerBand:
+    """The band's light as if its photographs had been stored otherwise."""
+    light = replace(band.light, stored=replace(band.light.stored, **changes))
+    return replace(band, light=light)
+
+
+def under(band: FingerBand, **changes: Any) -> FingerBand:
+    """The band's light under another rig."""
+    return replace(band, light=replace(band.light, built=replace(band.light.built, **changes)))
+
+
+def with_nir(photographs: FingerPhotographs, shift: int = 0) -> FingerPhotographs:
+    """The same photographs, also as a near-infrared band, each under the light `shift` before."""
+    observation = photographs.observation
+    leds = observation.rig.leds
+    rig = replace(observation.rig, leds=(*leds, *(replace(led, band="nir") for led in leds)))
+    white = replace(observation.white, built=rig)
+    own = tuple((len(leds) + light,) for light in range(len(leds)))
+    pixels = np.roll(white.stored.pixels, shift, axis=0)
+    nir = replace(white, stored=replace(white.stored, name="nir", leds=own, pixels=pixels))
+    both = replace(observation, rig=rig, bands={"white": white, "nir": nir})
+    return replace(photographs, observation=both)
 
 
 def from_40_mm(camera: Camera) -> Camera:

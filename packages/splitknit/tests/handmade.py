@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.capture import Band, Capture
 from splitknit.findings import Finding
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, rotation_about
-from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
+from splitknit.model import Camera, Led, Rig
+from splitknit.reconstruction import Reconstruction
 
 
 def finger(

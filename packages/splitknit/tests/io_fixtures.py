@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from io_shared import Build
+from splitknit.capture import Band, Capture
 from splitknit.io.capture import write_capture
-from splitknit.model import Band, Camera, Capture, Led, Rig
+from splitknit.model import Camera, Led, Rig
 
 
 def ring(band: str, count: int = 4) -> list[Led]:

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import Any
 
+from splitknit.capture import Capture
 from splitknit.io.photographs import GivenPhotographs
-from splitknit.io.plain import Photographs, capture_from_photographs
-from splitknit.model import Capture
+from splitknit.observation.plain import Photographs, capture_from_photographs
 
 Build = Callable[..., Capture]
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.model import Band, Capture, Led, Rig
+from splitknit.capture import Ambient, Band, Capture
+from splitknit.model import Led, Rig
 
 FIGURES = {
     "metric": ((0.3092, 0.0001), (0.6242, 0.0001), (0.6710, 0.0004)),
@@ -37,6 +38,11 @@ def each_led(capture: Capture, change: Callable[[Led], Led]) -> Capture:
     )
 
 
+def of_pixels(ambient: Ambient | None, change: Callable[[Any], Any]) -> Ambient | None:
+    """The ambient image with other pixels."""
+    return None if ambient is None else replace(ambient, pixels=change(ambient.pixels))
+
+
 def turned(capture: Capture, quarter_turns: int, tip_direction_deg: float | None) -> Capture:
     """Images and lights turned counter-clockwise together."""
 
@@ -59,7 +65,9 @@ def turned(capture: Capture, quarter_turns: int, tip_direction_deg: float | None
     return each_band(
         result,
         lambda band: replace(
-            band, pixels=turn_array(band.pixels, (1, 2)), ambient=turn_array(band.ambient, (0, 1))
+            band,
+            pixels=turn_array(band.pixels, (1, 2)),
+            ambient=of_pixels(band.ambient, lambda image: turn_array(image, (0, 1))),
         ),
     )
 
@@ -79,9 +87,7 @@ def cropped(capture: Capture, rows: slice, columns: slice) -> Capture:
         return replace(led, position_mm=(x - right, y - up, z))
 
     def part(band: Band) -> Band:
-        ambient = (
-            None if band.ambient is None else np.ascontiguousarray(band.ambient[rows, columns])
-        )
+        ambient = of_pixels(band.ambient, lambda image: np.ascontiguousarray(image[rows, columns]))
         return replace(
             band, pixels=np.ascontiguousarray(band.pixels[:, rows, columns]), ambient=ambient
         )
@@ -103,7 +109,7 @@ def grey(capture: Capture, material: str) -> Capture:
             None if pixels is None else np.round(pixels @ weights).astype(pixels.dtype)[..., None]
         )
 
-    band = replace(white, pixels=merged(white.pixels), ambient=merged(white.ambient))
+    band = replace(white, pixels=merged(white.pixels), ambient=of_pixels(white.ambient, merged))
     return replace(capture, material=material, bands={"white": band})
 
 
@@ -127,13 +133,12 @@ def paired_lights(capture: Capture) -> Capture:
     def pair(band: Band) -> Band:
         count = len(band.pixels)
         both = band.pixels.astype(float) + np.roll(band.pixels, -1, axis=0)
-        both -= 0 if band.ambient is None else band.ambient  # it was there once in each
+        both -= 0 if band.ambient is None else band.ambient.pixels  # it was there once in each
         return replace(
             band,
             pixels=np.clip(np.round(both / 2), 0, 255).astype(np.uint8),
             leds=tuple(band.leds[k] + band.leds[(k + 1) % count] for k in range(count)),
             exposure=band.exposure / 2,
-            ambient_exposure=band.ambient_exposure,
         )
 
     return each_band(capture, pair)

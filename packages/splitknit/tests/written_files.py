@@ -8,8 +8,10 @@ import struct
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import tifffile
+from PIL import Image
 
 VERTEX = [("place", "<f4", 3), ("normal", "<f4", 3), ("quality", "<f4")]
 FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
@@ -64,11 +66,28 @@ def read_stl(path: Path) -> np.ndarray:
 
 
 def read_light_tiff(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
-    """The floats of one page, and what its description tells."""
+    """The floats of one page, as every reader has them, and what its description tells."""
     with tifffile.TiffFile(path) as file:
-        page = file.pages[0]
-        assert page.dtype == np.float32
-        return page.asarray(), json.loads(page.description)
+        description = json.loads(file.pages[0].description)
+    values = read_by_all(path)
+    assert values.dtype == np.float32
+    return values, description
+
+
+def read_by_all(path: Path) -> np.ndarray:
+    """The picture of a TIFF file, by the readers that people use, which must agree."""
+    import imageio.v3  # of scikit-image, which other packages' tests lack
+    import skimage.io
+
+    values = tifffile.imread(path)
+    np.testing.assert_array_equal(imageio.v3.imread(path), values)
+    np.testing.assert_array_equal(skimage.io.imread(path), values)
+    if values.ndim == 2 or values.dtype == np.uint8:  # Pillow has no other colours
+        with Image.open(path) as picture:
+            np.testing.assert_array_equal(np.asarray(picture), values)
+    colours = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(colours if values.ndim == 2 else colours[..., ::-1], values)
+    return values
 
 
 def read_height_tiff(path: Path) -> tuple[np.ndarray, float, dict[str, Any]]:

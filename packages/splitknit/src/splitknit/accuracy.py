@@ -27,28 +27,30 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.capture import Capture
 from splitknit.errors import BadInput, require
 from splitknit.imaging.geometry import bounding_box, height_gradients, smoothed
 from splitknit.io.npz import read_npz
-from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
+from splitknit.model import BoolArray, FloatArray
+from splitknit.reconstruction import Reconstruction
 
 TRUTH_ARRAYS = ("height_mm", "shape_mm", "mask", "normals")
 """What is compared."""
 EROSION_MM = 0.33
 """Distance from the edge of the common mask from which on pixels count. Source: definition of the
-figures (docs/explain/conventions.md)."""
+figures (docs/experiments/accuracy.md)."""
 BAND_SIGMA_MM = 0.32
 """Standard deviation of the Gaussian whose complement is the ridge band. Source: definition of the
-figures (docs/explain/conventions.md)."""
+figures (docs/experiments/accuracy.md)."""
 MAX_SLANT_DEG = 60.0
 """Largest slant of the true shape at which the ridge band counts. Source: definition of the figures
-(docs/explain/conventions.md)."""
+(docs/experiments/accuracy.md)."""
 WINDOW_MM = 0.86
 """Side of the windows of the local correlation. Source: definition of the figures
-(docs/explain/conventions.md)."""
+(docs/experiments/accuracy.md)."""
 GOOD_CORRELATION = 0.8
 """Local correlation from which on ridges count as recovered. Source: definition of the figures
-(docs/explain/conventions.md)."""
+(docs/experiments/accuracy.md)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -69,6 +69,15 @@ ResolutionPpi = Annotated[
         ),
     ),
 ]
+Ridges = Annotated[
+    Literal["dark", "light"] | None,
+    Parameter(
+        help=(
+            "Whether ridges of prints are dark, as ink is, or light (default: as pictures show it;"
+            " where they do not, both are compared)."
+        ),
+    ),
+]
 
 
 def silent(stage: str, fraction: float) -> None:

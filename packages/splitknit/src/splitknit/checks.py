@@ -52,7 +52,7 @@ def check_mask(mask: Any, shape: tuple[int, int], *, name: str = "mask") -> NDAr
     array = np.asarray(mask)
     require(array.shape == shape, f"{name} must have the shape {shape}, but it has {array.shape}.")
     result = array.astype(np.bool_, copy=False)
-    require(bool(result.any()), f"{name} is empty: not one pixel belongs to the surface.")
+    require(result.any(), f"{name} is empty: not one pixel belongs to the surface.")
     return result
 
 
@@ -72,7 +72,7 @@ def check_lights(
         f"{name} must have the shape (L, 3), but it has {array.shape}.",
     )
     finite = np.isfinite(array) & (np.abs(array) < 1e100)  # the squares of more overflow
-    require(bool(finite.all()), f"{name} contains NaN or infinite values.")
+    require(finite.all(), f"{name} contains NaN or infinite values.")
     require(
         count in (None, array.shape[0]),
         f"{name} and images differ in number: {array.shape[0]} lights for {count} images.",
@@ -82,20 +82,18 @@ def check_lights(
         f"photometric stereo needs at least 3 lights, but {name} holds {array.shape[0]}.",
     )
     norms = np.linalg.norm(array, axis=1)
-    require(
-        bool((norms > 0).all()), f"{name} contains a zero vector (light {int(np.argmin(norms))})."
-    )
+    require((norms > 0).all(), f"{name} contains a zero vector (light {int(np.argmin(norms))}).")
     unit = array / norms[:, None]
     cosines = unit @ unit.T - 2.0 * np.eye(len(unit))
     i, j = np.unravel_index(int(np.argmax(cosines)), cosines.shape)
     require(
-        bool(cosines[i, j] < np.cos(np.deg2rad(0.5))),
+        cosines[i, j] < np.cos(np.deg2rad(0.5)),
         f"{name} {min(i, j)} and {max(i, j)} have the same direction; remove one or correct the"
         " rig.",
     )
     singular = np.linalg.svd(unit, compute_uv=False)
     require(
-        bool(singular[-1] > 0.01 * singular[0]),
+        singular[-1] > 0.01 * singular[0],
         f"{name} are coplanar; normals need light directions that span three dimensions.",
     )
     return array
@@ -105,5 +103,5 @@ def _finite(array: NDArray[Any], name: str) -> NDArray[np.float32]:
     import numpy as np
 
     result = np.ascontiguousarray(array, dtype=np.float32)
-    require(bool(np.isfinite(result).all()), f"{name} contains NaN or infinite values.")
+    require(np.isfinite(result).all(), f"{name} contains NaN or infinite values.")
     return result

@@ -13,14 +13,14 @@ from typing import TypeVar
 
 from splitknit.errors import BadInput, require
 
+AnyPath = str | os.PathLike[str]
+"""A path as callers give it."""
 T = TypeVar("T")
 J = TypeVar("J")
 
 
 @contextlib.contextmanager
-def open_file(
-    path: str | os.PathLike[str], max_bytes: int
-) -> Iterator[tuple[io.BufferedReader[io.FileIO], int]]:
+def open_file(path: AnyPath, max_bytes: int) -> Iterator[tuple[io.BufferedReader[io.FileIO], int]]:
     """Open a regular file of at most `max_bytes`; yield the stream and the file's size. Raises
     BadInput if it is missing, no regular file (devices and pipes are not opened for reading), too
     large, or cannot be read, also in the block.
@@ -48,7 +48,7 @@ def open_file(
         ) from error
 
 
-def open_at_once(path: str | os.PathLike[str], flags: int, mode: int = 0o600) -> int:
+def open_at_once(path: AnyPath, flags: int, mode: int = 0o600) -> int:
     """Opener for files: through no link (:func:`given_folders`), and at once where a pipe has no
     writer."""
     refuse_links(path)
@@ -59,7 +59,7 @@ _GIVEN: set[str] = set()
 
 
 @contextlib.contextmanager
-def given_folders(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
+def given_folders(paths: Iterable[AnyPath]) -> Iterator[None]:
     """In the block, nothing inside these folders is read or written through a symbolic link: a
     folder may come from anyone. What the user named may be a link. Readers (:func:`open_file`) and
     writers (:mod:`splitknit.io.atomic`) ask :func:`refuse_links`, in worker processes too
@@ -87,7 +87,7 @@ def _in_given_folders(folders: tuple[str, ...], work: Callable[[J], T], job: J) 
         return work(job)
 
 
-def refuse_links(path: str | os.PathLike[str]) -> None:
+def refuse_links(path: AnyPath) -> None:
     """Refuse, by name, a link inside the nearest given folder above `path`. Raises BadInput."""
     whole = Path(path).absolute() if _GIVEN else None
     if whole is None or str(whole) in _GIVEN:
@@ -106,7 +106,7 @@ def refuse_links(path: str | os.PathLike[str]) -> None:
         inside.append(parent)
 
 
-def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
+def read_bytes(path: AnyPath, max_bytes: int) -> bytes:
     """Read a whole regular file of at most `max_bytes`; every reader of a file goes through here.
 
     The size is checked before memory is taken, and again while reading, for a file that grows and
@@ -127,7 +127,7 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
     return data
 
 
-def shown_path(path: str | os.PathLike[str]) -> str:
+def shown_path(path: AnyPath) -> str:
     """Return a path as messages give it, on one line."""
     text = os.fspath(path)
     return text if text.isprintable() else ascii(text)

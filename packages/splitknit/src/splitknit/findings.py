@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import Any
 
 from splitknit.errors import require
+from splitknit.files import AnyPath
 
 
 class Severity(StrEnum):
@@ -77,7 +78,7 @@ class Finding:
             else replace(self, message=f"{name} band: {self.message}", band=name)
         )
 
-    def of_file(self, path: str | os.PathLike[str]) -> Finding:
+    def of_file(self, path: AnyPath) -> Finding:
         """The finding of a file, which its sentence then names."""
         name = os.fspath(path)
         return replace(self, message=f"{name}: {self}", files=(name,), lengths_mm=())

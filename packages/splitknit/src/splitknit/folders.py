@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from splitknit.arguments import (
     Progress,
     Settings,
     checked,
+    refuse_given,
     silent,
     text_of,
 )
@@ -31,7 +33,9 @@ from splitknit.io.photographs import (
 )
 
 if TYPE_CHECKING:
-    from splitknit.model import Capture, FloatArray
+    from splitknit.capture import Capture
+    from splitknit.model import FloatArray
+    from splitknit.reconstruction import Reconstruction
 
 _LOG = logging.getLogger(__name__)
 
@@ -101,7 +105,7 @@ def read_photographs(
 def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
     """Photographs as a capture, and what was assumed of them. Raises BadInput as
     :func:`read_photographs`."""
-    from splitknit.io.plain import capture_from_photographs
+    from splitknit.observation.plain import capture_from_photographs
     from splitknit.photometric.uncalibrated import with_estimated_lights
 
     images = photographs.images
@@ -169,6 +173,8 @@ def reconstruct_to_folder(
     capture: AnyPath | None = None,
     *,
     out: AnyPath,
+    normals: AnyPath | None = None,
+    normals_y: Literal["up", "down"] | None = None,
     preset: Preset = "metric",
     rig: AnyPath | None = None,
     shape: Literal["nir", "white", "mirror"] | None = None,
@@ -180,7 +186,7 @@ def reconstruct_to_folder(
     photographs: AllPhotographs = NO_PHOTOGRAPHS,
     progress: Progress = silent,
 ) -> Reconstructed:
-    """Turn a capture folder, or photographs, into a 3D fingerprint.
+    """Turn a capture folder, photographs or a normal map into a surface.
 
     Parameters
     ----------
@@ -188,6 +194,13 @@ def reconstruct_to_folder(
         Capture folder (with capture.json), or see `images`.
     out
         Folder to write the results into.
+    normals
+        Normal map of another program, which is integrated: PNG or TIFF of 8 or 16 bits, .npy, .npz,
+        or EXR (extra 'photos'); x right, y up, z to the camera. With photographs, the part of their
+        light that it leaves unexplained is written, and the regions that contradict it are named.
+    normals_y
+        Where its y points in the image (default: up, or down where only that makes a surface of
+        it).
     preset
         metric (the default), or the thesis's snk (all of it), pr (direct light, no split), ea
         (plain), these two split by shapelets (pr-split, ea-split), or another published case:
@@ -226,66 +239,66 @@ def reconstruct_to_folder(
     >>> reconstruct_to_folder("capture", out="result").facts["area_mm2"]  # doctest: +SKIP
     423.7
     """
-    from splitknit.accuracy import read_truth
     from splitknit.io.atomic import atomic_folder
+    from splitknit.io.normal_maps import read_normal_map
+    from splitknit.io.paging import one_heap
     from splitknit.io.targets import check_target
     from splitknit.networks.unet import use_device
-    from splitknit.pipeline import reconstruct
     from splitknit.presets import preset_settings
-    from splitknit.report.photos import small_images
-    from splitknit.report.result import write_files, write_steps
     from splitknit.settings import override
-    from splitknit.steps import one_heap
 
-    both = "; both were given." if capture is not None else "."
-    require(
-        (capture is None) != (photographs.images is None),
-        f"name a capture folder, or photographs with `images` DIR `lights` FILE{both}",
-    )
-    photographs.refuse_without_images(*OF_CAPTURES)
+    alone = capture is None and photographs.images is None
+    _check_sources(capture, normals, photographs)
+    if alone:
+        refuse_given(
+            "goes with photographs.",
+            preset=preset != "metric",
+            shape=shape,
+            keep=keep,
+            keep_steps=keep_steps,
+            settings=settings,
+        )
+    if normals is None:
+        refuse_given("goes with `normals`.", normals_y=normals_y)
     changes = dict(settings or {}) | ({"keep": True} if keep else {})
     if shape is not None:
         changes["shape.source"] = shape
     started = time.perf_counter()
     one_heap()
-    source = Path(capture or photographs.images or "")
+    source = Path(capture or photographs.images or normals or "")
     # a wrong setting is refused before the images are read
     override(preset_settings(preset), changes)
     check_target(Path(out), "height.npz", "an earlier result", keep=source)
     device_used = use_device(device)
     with atomic_folder(Path(out)) as target:
         progress("reading", 0.0)
-        captures, notes = _read(capture, rig, photographs)
+        given = None if normals is None else read_normal_map(normals)
+        photographed, notes = (None, []) if alone else _read(capture, rig, photographs)
         read_s = time.perf_counter() - started
-        small_bands = {
-            name: replace(band, pixels=small_images(band), ambient=None)
-            for name, band in captures[0].bands.items()
-        }
-        small = replace(captures[0], bands=small_bands)  # for the report
+        small = None if photographed is None else _small(photographed)  # for the report
         kept: dict[str, FloatArray] = {}
+        if given is not None and alone:
+            result = _of_map(given, source, photographs, rig, normals_y)
         try:
-            result = reconstruct(
-                # so that its images go once they are read: 0.3 GB less at a full frame's peak
-                captures.pop(),
-                preset,
-                changes,
-                lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction),
-                kept=kept if keep_steps else None,
-            )
+            if photographed is not None:
+                result = _of_photographs(
+                    photographed,
+                    preset,
+                    changes,
+                    lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction),
+                    kept if keep_steps else None,
+                    given=given,
+                    y=normals_y,
+                )
             if device_used != "cpu":  # its last digits are others'
                 result = replace(result, facts={**result.facts, "device": device_used})
             findings = worst_first((*notes, *result.findings))
-            doubted = [str(each).rstrip(".") for each in findings if each.severity != Severity.NOTE]
-            require(not (strict and doubted), f"{doubted[0] if doubted else ''} (`strict`).")
+            if strict:
+                _refuse_doubts(findings)
             timings = {"reading": read_s, **result.timings_s}
             result = replace(result, timings_s=timings, findings=findings)
             progress("writing", 0.8)
-            scaled = small.rig.camera.scale_known
-            truth = read_truth(small) if small.truth is not None and scaled else None
-            step_facts, step_files = write_steps(kept, target)
-            if keep_steps:
-                result = replace(result, facts={**result.facts, "steps": step_facts})
-            facts = write_files(result, small, target, truth, step_files)
+            facts = _written(result, small, target, kept, keep_steps=keep_steps)
         except BadInput as error:  # stages know arrays only
             raise BadInput(f"{source}: {error}") from error
     progress("done", 1.0)
@@ -295,10 +308,120 @@ def reconstruct_to_folder(
     )
 
 
+def _check_sources(
+    capture: AnyPath | None, normals: AnyPath | None, photographs: GivenPhotographs
+) -> None:
+    """Refuse none, or two sources of photographs, and what is stated of others."""
+    require(
+        capture is None or photographs.images is None,
+        "name a capture folder, or photographs with `images`; both were given.",
+    )
+    alone = capture is None and photographs.images is None
+    require(
+        not alone or normals is not None,
+        "name a capture folder, photographs with `images` DIR `lights` FILE, or a normal map with"
+        " `normals`.",
+    )
+    photographs.refuse_without_images(*(("px_per_mm", "mask") if alone else OF_CAPTURES))
+
+
+def _refuse_doubts(findings: Sequence[Finding]) -> None:
+    for finding in findings:
+        require(finding.severity == Severity.NOTE, f"{str(finding).rstrip('.')} (`strict`).")
+
+
+def _written(
+    result: Reconstruction,
+    small: Capture | None,
+    target: Path,
+    kept: dict[str, FloatArray],
+    *,
+    keep_steps: bool,
+) -> dict[str, Any]:
+    """Write the result; return the facts of its report."""
+    from splitknit.accuracy import read_truth
+    from splitknit.report.result import write_files, write_steps
+
+    truth = None
+    if small is not None and small.truth is not None and result.scale_known:
+        truth = read_truth(small)
+    step_facts, step_files = write_steps(kept, target)
+    if keep_steps:
+        result = replace(result, facts={**result.facts, "steps": step_facts})
+    return write_files(result, small, target, truth, step_files)
+
+
+def _small(capture: Capture) -> Capture:
+    """The capture with its images as small as the report shows them."""
+    from splitknit.report.photos import small_images
+
+    bands = {
+        name: replace(band, pixels=small_images(band), ambient=None)
+        for name, band in capture.bands.items()
+    }
+    return replace(capture, bands=bands)
+
+
+NormalMap = tuple["FloatArray", dict[str, str]]
+"""Normals (H, W, 3), and the SHA-256 of their file."""
+
+
+def _of_photographs(
+    capture: Capture,
+    preset: str,
+    changes: dict[str, Any],
+    progress: Progress,
+    kept: dict[str, FloatArray] | None,
+    *,
+    given: NormalMap | None,
+    y: Literal["up", "down"] | None,
+) -> Reconstruction:
+    """The surface of photographs; or that of a `given` normal map, compared with it."""
+    from splitknit.methods.normals import compared, surface_of_normals
+    from splitknit.pipeline import located, reconstruct
+
+    if given is None:
+        return reconstruct(capture, preset, changes, progress, kept=kept)
+    finger = located(capture, preset, changes)
+    photometric = reconstruct(finger, preset, changes, progress, kept=kept)
+    require(
+        photometric.normals_measured is not None,
+        "`normals` are compared with photographs of an opaque object, not of `material` skin.",
+    )
+    normals, hashes = given
+    camera = finger.observation.rig.camera
+    surface = surface_of_normals(normals, photometric.mask, camera=camera, y=y)
+    return compared(replace(surface, hashes=hashes), finger, photometric)
+
+
+def _of_map(
+    given: NormalMap,
+    source: Path,
+    photographs: GivenPhotographs,
+    rig: AnyPath | None,
+    y: Literal["up", "down"] | None,
+) -> Reconstruction:
+    """The surface of a normal map alone."""
+    from splitknit.io.normal_maps import read_mask
+    from splitknit.io.rig import read_rig
+    from splitknit.methods.normals import surface_of_normals
+
+    normals, hashes = given
+    scale = photographs.px_per_mm
+    require(rig is None or scale is None, "`rig` and `px_per_mm` both give the scale; choose one.")
+    camera = None if rig is None else read_rig(rig).camera
+    mask = None
+    if photographs.mask is not None:
+        mask, of_mask = read_mask(photographs.mask, (normals.shape[0], normals.shape[1]))
+        hashes = {**hashes, **of_mask}
+    surface = naming(source, lambda: surface_of_normals(normals, mask, scale, camera=camera, y=y))
+    return replace(surface, hashes=hashes)
+
+
 def _read(
     capture_folder: AnyPath | None, rig_file: AnyPath | None, photographs: GivenPhotographs
-) -> tuple[list[Capture], list[Finding]]:
-    """The capture, alone in a list, with what was stated in place of its own; and notes on it."""
+) -> tuple[Capture, list[Finding]]:
+    """The capture, with what was stated in place of its own; and notes on it."""
     from splitknit.io.capture import read_capture, with_rig
 
     rig = None if rig_file is None else Path(rig_file)
@@ -313,16 +436,10 @@ def _read(
             f"`rig` must name a rig file (.json), not '{rig}'; name a list of lights with"
             " `lights`.",
         )
-        capture, notes = capture_of(
-            photographs if rig is None else replace(photographs, lights=rig)
-        )
-        return [capture], notes
+        return capture_of(photographs if rig is None else replace(photographs, lights=rig))
     capture = read_capture(capture_folder)
     if rig is not None:
         capture = with_rig(capture, rig)
     if photographs.tip_direction_deg is not None:
         capture = replace(capture, tip_direction_deg=photographs.tip_direction_deg)
-    capture, notes = _with_frame_and_scale(
-        capture, capture_folder, photographs, photographs.px_per_mm
-    )
-    return [capture], notes
+    return _with_frame_and_scale(capture, capture_folder, photographs, photographs.px_per_mm)

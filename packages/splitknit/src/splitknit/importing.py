@@ -7,18 +7,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
-
-from splitknit.arguments import AnyPath, Progress, Report, ResolutionPpi, silent
+from splitknit.arguments import AnyPath, Progress, Report, ResolutionPpi, Ridges, silent
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.folders import capture_of
 from splitknit.io.photographs import NO_PHOTOGRAPHS, OF_CAPTURES, AllPhotographs, GivenPhotographs
 from splitknit.registry import IMPORTS, MATCH, extension
-
-_SURFACES = (".ply", ".xyz", ".obj", ".stl")
 
 
 def import_files(
@@ -27,9 +23,10 @@ def import_files(
     out: AnyPath,
     nir: AnyPath | None = None,
     fingers: str | None = None,
-    keep: Annotated[bool, Parameter(alias="--force")] = False,
+    keep: bool = False,
     overwrite: bool = False,
     resolution_ppi: ResolutionPpi = None,
+    ridges: Ridges = None,
     photographs: AllPhotographs = NO_PHOTOGRAPHS,
     progress: Progress = silent,
 ) -> Report:
@@ -74,13 +71,14 @@ def import_files(
     7
     """
     images = photographs.images
-    both = images is not None and bool(files)
     require(
-        not both,
+        images is None or not files,
         "photographs (`images` DIR) and prints (FILES ...) are imported one after the other.",
     )
-    fault = "name photographs (`images` DIR `lights` FILE)"
-    require(images is not None or bool(files), f"{fault} or files of prints to import.")
+    require(
+        images is not None or files,
+        "name photographs (`images` DIR `lights` FILE) or files of prints to import.",
+    )
     skin = (nir, fingers) != (None, None)  # a finger is
     material = photographs.material or ("skin" if skin else None)
     known = replace(photographs, nir=nir, material=material)
@@ -91,18 +89,13 @@ def import_files(
         return _import_fingers(
             folder, known, Path(out), fingers, keep=keep, overwrite=overwrite, progress=progress
         )
-    cloud = next((file for file in files if Path(file).suffix.lower() in _SURFACES), None)
-    require(
-        cloud is None,
-        f"'{cloud}' is a surface: 'python validation/scanners/cloud.py' of a checkout reads it.",
-    )
     require(not keep, "`keep` goes with `fingers`.")
     if images is None:
         require(nir is None, "`nir` goes with `images`.")
         require(not overwrite, "`overwrite` goes with `images`.")
         photographs.refuse_without_images()
         import_prints = extension(IMPORTS, "prints", "the import of prints", MATCH)
-        return import_prints(files, out, resolution_ppi, progress)  # type: ignore[no-any-return]
+        return import_prints(files, out, resolution_ppi, ridges, progress)  # type: ignore[no-any-return]
     return _import_photographs(known, Path(out), overwrite=overwrite, progress=progress)
 
 

@@ -7,12 +7,9 @@ camera's axis meets the finger plane.
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
-from pkgutil import resolve_name
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -20,9 +17,6 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.findings import Finding
-from splitknit.parameters import FLAT_SIDE, UNKNOWN_SIDE_MM
-from splitknit.units import MILLIMETRES, LengthUnit, pixels
 
 Array = NDArray[np.float64]
 FloatArray = NDArray[np.floating]
@@ -316,9 +310,7 @@ def camera_without_scale(image_size: tuple[int, int]) -> Camera:
     columns) is taken to be 25 mm along the shorter side. Sizes that a method has in mm follow that
     guess; slopes do not.
     """
-    return Camera(
-        px_per_mm=min(image_size) / UNKNOWN_SIDE_MM, image_size=image_size, scale_known=False
-    )
+    return Camera(px_per_mm=min(image_size) / 25.0, image_size=image_size, scale_known=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -381,15 +373,23 @@ class Rig:
         )
 
     def colours_of(self, groups: Sequence[Sequence[int]]) -> tuple[tuple[str, ...], ...]:
-        """Colours of the LEDs of every exposure, for :class:`Band`; nothing where all LEDs are
+        """Colours of the LEDs of every exposure; nothing where all LEDs are
         white."""
         colours = tuple(tuple(self.leds[index].colour for index in group) for group in groups)
         return colours if any(any(names) for names in colours) else ()
 
     def lights_of(self, groups: Sequence[Sequence[int]]) -> tuple[tuple[int, ...], ...]:
-        """LEDs of every image of :func:`splitknit.imaging.band.linear_stack`: colours that share an
-        exposure apart."""
-        return _lights(groups, self.colours_of(groups))
+        """LEDs of every image of linear light: those of coloured exposures colour by colour, in the
+        order red, green, blue."""
+        lights: list[tuple[int, ...]] = []
+        for group, names in zip(groups, self.colours_of(groups) or [()] * len(groups), strict=True):
+            if not any(names):
+                lights.append(tuple(group))
+                continue
+            for colour in COLOURS:
+                part = tuple(led for led, name in zip(group, names, strict=True) if name == colour)
+                lights += [part] if part else []
+        return tuple(lights)
 
     def select(self, groups: Sequence[Sequence[int]]) -> Rig:
         """Return the rig whose `leds[k]` is what lights image k: the LEDs `groups[k]` together."""
@@ -425,431 +425,3 @@ class Rig:
             "LEDs that share one exposure cancel each other; correct the rig.",
         )
         return vectors / float(lengths.mean())
-
-
-def _lights(
-    groups: Sequence[Sequence[int]], colours: Sequence[Sequence[str]]
-) -> tuple[tuple[int, ...], ...]:
-    """The groups of LEDs, those of coloured exposures divided by colour, in the order red, green,
-    blue."""
-    result: list[tuple[int, ...]] = []
-    for group, names in zip(groups, colours or [()] * len(groups), strict=True):
-        if not any(names):
-            result.append(tuple(group))
-            continue
-        for colour in COLOURS:
-            part = tuple(led for led, name in zip(group, names, strict=True) if name == colour)
-            result += [part] if part else []
-    return tuple(result)
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Band:
-    """The images of one spectral band, as stored, not linear: see
-    :func:`splitknit.imaging.band.linear_stack`."""
-
-    name: str
-    pixels: PixelArray
-    """(L, H, W, C), C = 1 (grey) or 3 (red, green, blue)."""
-    leds: tuple[tuple[int, ...], ...]
-    """`leds[k]` are the indices of the rig's LEDs that light image k."""
-    exposure: NDArray[np.float64]
-    """(L,) exposure time times gain, relative; images are divided by it."""
-    black_level: NDArray[np.float64]
-    """(L,) stored value of no light."""
-    ambient: PixelArray | None = None
-    """(H, W, C) with all LEDs off, or None."""
-    ambient_exposure: float = 1.0
-    ambient_black_level: float = 0.0
-    shading: tuple[float, ...] = ()
-    """Fall-off of the lens, see :class:`Camera`."""
-    files: tuple[str, ...] = ()
-    colours: tuple[tuple[str, ...], ...] = ()
-    """`colours[k]` are the colours of the LEDs `leds[k]`, see :class:`Led`; nothing where all are
-    white."""
-    crosstalk: NDArray[np.float64] | None = None
-    """Crosstalk of the camera's pixels, see :class:`Camera`; used where LEDs are coloured."""
-    polarisation: str = ""
-    """``parallel`` or ``crossed``: the film before the camera beside those before the LEDs; empty
-    without films."""
-    crossed: Band | None = None
-    """The crossed series, image by image. The band's light is then the mean of both, as without
-    films."""
-    flat: PixelArray | None = None
-    """(L, h, w) a flat matt surface, as stored, on a coarse grid, by which images are divided (mean
-    one)."""
-    promised: FloatArray | None = None
-    """(L, h, w) a flat surface's light by the rig: images over `flat` are multiplied by it. Not in
-    a file."""
-    side: Band | None = None
-    """Images lit from the side of the finger, beside those lit from the front. Not in a file."""
-    transmission: NDArray[np.float64] | None = None
-    """(L, C) by which the light of each image's channels is divided, where films before lights and
-    camera differ."""
-
-    def __repr__(self) -> str:
-        count, rows, columns, channels = self.pixels.shape
-        kind = "colour" if channels == 3 else "grey"
-        return (
-            f"Band('{self.name}', {count} images of {rows} x {columns} px, {kind},"
-            f" {self.pixels.dtype})"
-        )
-
-    @property
-    def lights(self) -> tuple[tuple[int, ...], ...]:
-        """LEDs of every linear image: `leds`, but coloured ones colour by colour; with those of a
-        `crossed` series."""
-        own = _lights(self.leds, self.colours)
-        if self.crossed is None:
-            return own
-        return tuple(
-            tuple(dict.fromkeys(a + b)) for a, b in zip(own, self.crossed.lights, strict=True)
-        )
-
-    @property
-    def spectral(self) -> str:
-        """``white`` or ``nir``: the band of its LEDs."""
-        return spectral_band(self.name)
-
-    @property
-    def image_names(self) -> tuple[str, ...]:
-        """Names of the linear images' files, those of coloured exposures with the colour; numbers
-        without files."""
-        files = [Path(file).name for file in self.files] or [
-            f"image {k}" for k in range(len(self.leds))
-        ]
-        if not self.colours:
-            return tuple(files)
-        pairs = zip(files, self.colours, strict=True)
-        named = (
-            (file, colour) for file, own in pairs for colour in (*COLOURS, "") if colour in own
-        )
-        return tuple(f"{file}, {colour}" if colour else file for file, colour in named)
-
-    def of_images(self, kept: Sequence[int]) -> Band:
-        """The band of some of its images."""
-        rows = list(kept)
-        parts: dict[str, Any] = {}
-        for name in ("pixels", "exposure", "black_level", "flat", "promised", "transmission"):
-            array = getattr(self, name)
-            parts[name] = None if array is None else array[rows]
-        for name in ("leds", "files", "colours"):
-            parts[name] = tuple(getattr(self, name)[k] for k in rows) if getattr(self, name) else ()
-        return replace(self, **parts)
-
-    def sampled(self, every: int) -> Band:
-        """The band in every so many pixels of its rows and columns."""
-        step = np.s_[:, ::every, ::every]
-        ambient = None if self.ambient is None else self.ambient[step[1:]]
-        crossed = None if self.crossed is None else self.crossed.sampled(every)
-        return replace(self, pixels=self.pixels[step], ambient=ambient, crossed=crossed)
-
-
-def coarse_grid(image: FloatArray) -> FloatArray:
-    """A flat surface's image (H, W) on the coarse grid, smoothed over its pixels."""
-    import cv2  # large
-
-    scale = min(1.0, FLAT_SIDE / max(image.shape))
-    size = (max(2, round(image.shape[1] * scale)), max(2, round(image.shape[0] * scale)))
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(small if scale == 1.0 else cv2.GaussianBlur(small, (0, 0), 1.0))
-
-
-def spectral_band(name: str) -> str:
-    """Band of the LEDs that light the images of the band `name` of a capture: ``white`` of
-    ``white_crossed``."""
-    return name.partition("_")[0]
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Capture:
-    """One finger, photographed once under every LED."""
-
-    rig: Rig
-    bands: Mapping[str, Band]
-    """``white`` always; ``nir`` where it was captured; ``white_crossed`` where `white` is a
-    parallel series."""
-    encoding: str = "linear"
-    """``linear`` or ``srgb``."""
-    material: str = "skin"
-    """``skin`` or ``opaque`` (no subsurface scattering to undo)."""
-    tip_direction_deg: float | None = None
-    """Where the tip points: 0 = row 0, counter-clockwise; None = found (beside mirrors and of
-    opaque things: up)."""
-    mask: BoolArray | None = None
-    """(H, W) given by the user: used as it is."""
-    subject: Mapping[str, Any] = field(default_factory=dict)
-    captured_at: str | None = None
-    truth: Path | None = None
-    """A simulator's ``truth.npz``."""
-    hashes: Mapping[str, str] = field(default_factory=dict)
-    """SHA-256 of every file that was read, by its name in the folder."""
-
-    def __repr__(self) -> str:
-        bands = ", ".join(repr(band) for band in self.bands.values())
-        return f"Capture({bands}, {self.rig.camera.scale}, {self.material}, {self.encoding})"
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows, columns of every image."""
-        return self.rig.camera.image_size
-
-
-_PREVIEW, _SAVE = "splitknit.report.result:preview_html", "splitknit.report.result:write_results"
-"""What a result does by modules above this one, each imported when it is first used."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Reconstruction:
-    """A metric fingerprint on the input's pixel grid."""
-
-    height_mm: FloatArray
-    """(H, W) knitted surface, NaN outside the mask."""
-    ridge_mm: FloatArray
-    """(H, W) relief alone, NaN outside the mask; of an unsplit surface (`whole`) height less its
-    slow part."""
-    shape_mm: FloatArray
-    """(H, W) finger shape alone, NaN outside the mask."""
-    mask: BoolArray
-    """(H, W)."""
-    normals: FloatArray
-    """(H, W, 3) of the knitted surface, unit length, zero outside the mask."""
-    albedo: FloatArray
-    """(H, W) relative, NaN outside the mask."""
-    pitch_mm: float
-    input_from_upright: NDArray[np.float64]
-    """(3, 3) on (column, row, 1): where an upright pixel (tip up) lies in the input."""
-    upright_size: tuple[int, int]
-    """Rows, columns of the upright frame."""
-    preset: str
-    x_mm: FloatArray | None = None
-    """(H, W) x of each pixel's point, NaN outside the mask; None: parallel rays, pixels at their
-    pitch."""
-    y_mm: FloatArray | None = None
-    """(H, W) y, likewise."""
-    whole: bool = False
-    """Whether the surface was not split (the thesis's EA and PR): its matcher takes the height
-    itself as the relief."""
-    uncertainty_um: FloatArray | None = None
-    """(H, W) standard deviation of the relief where the skin's blur was inverted, NaN outside the
-    mask."""
-    normals_measured: FloatArray | None = None
-    """(H, W, 3) of photometric stereo before integration, zero outside the mask; None without
-    (skin)."""
-    specular: FloatArray | None = None
-    """(H, W) of a polarised capture: what the surface reflects under all lights, of even brightness
-    and contrast, in standard deviations from the local mean, NaN outside the mask; see
-    :func:`splitknit.imaging.polarised.specular_picture`."""
-    colour: FloatArray | None = None
-    """(H, W, 3) albedo in red, green and blue, relative, zero outside the mask; None of skin and of
-    photographs without colour."""
-    scale_known: bool = True
-    """False: the scale is unknown, arrays are in mm of an assumed one; files and pages in pixels
-    (`unit`)."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    quality: Mapping[str, Any] = field(default_factory=dict)
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    """What the pipeline found or assumed (yaw, crease row, scattering, ...)."""
-    findings: tuple[Finding, ...] = ()
-    """What is wrong with the photographs, or was assumed of them, worst first."""
-    timings_s: Mapping[str, float] = field(default_factory=dict)
-    hashes: Mapping[str, str] = field(default_factory=dict)
-
-    def __repr__(self) -> str:
-        facts = ", ".join(f"{name} {value}" for name, value in self._summary().items())
-        return f"Reconstruction({facts})"
-
-    def _repr_html_(self) -> str:
-        """Preview and table of a notebook."""
-        from html import escape
-
-        rows = "".join(
-            f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in self._summary().items()
-        )
-        warnings = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
-        picture = "" if not bool(self.mask.any()) else resolve_name(_PREVIEW)(self)
-        return f"{picture}<table>{rows}</table><ul>{warnings}</ul>"
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """The findings as sentences."""
-        return tuple(map(str, self.findings))
-
-    @property
-    def unit(self) -> LengthUnit:
-        """What its lengths are written and shown in."""
-        return MILLIMETRES if self.scale_known else pixels(self.pitch_mm)
-
-    def _summary(self) -> dict[str, str]:
-        known = self.mask & np.isfinite(self.height_mm)
-        unit = self.unit
-        pitch = f" at {1000 * self.pitch_mm:.1f} um" if unit.known else ", scale unknown"
-        summary = {
-            "preset": f"'{self.preset}'",
-            "size": f"{self.mask.shape[0]} x {self.mask.shape[1]} px{pitch}",
-            "area": f"{float(known.sum()) * (self.pitch_mm * unit.per_mm) ** 2:.0f} {unit.name}2",
-        }
-        if bool(known.any()):
-            low, high = np.percentile(self.height_mm[known], (1, 99))
-            summary["height range"] = f"{(high - low) * unit.per_mm:.2f} {unit.name}"
-            relief = float(np.std(self.ridge_mm[known])) * unit.small_per_mm
-            summary["relief"] = f"{relief:.1f} um rms" if unit.known else f"{relief:.2f} px rms"
-        return summary | {"warnings": str(len(self.findings))}
-
-    def save(self, folder: str | os.PathLike[str], capture: Capture | None = None) -> None:
-        """Write all files of a result: surface, mesh, print, pictures and report.
-
-        Parameters
-        ----------
-        folder : path
-            Appears complete or not at all; an earlier result in it is replaced.
-        capture : Capture, optional
-            What the result was made from: the report shows its photographs.
-
-        Raises
-        ------
-        BadInput
-            If the folder holds something else, or cannot be written.
-
-        Examples
-        --------
-        >>> import splitknit
-        >>> import splitknit_simulator
-        >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})
-        >>> splitknit.reconstruct(capture, "ea").save("result", capture)
-        """
-        resolve_name(_SAVE)(self, capture, folder)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """The part of a reconstruction that prints and matching need."""
-
-    ridge_mm: FloatArray
-    shape_mm: FloatArray
-    normals: FloatArray
-    mask: BoolArray
-    pitch_mm: float
-    input_from_upright: NDArray[np.float64]
-    upright_size: tuple[int, int]
-    whole: bool = False
-    """See :class:`Reconstruction`."""
-
-
-UNKNOWN_SCALE = (
-    "scale unknown, heights in pixels: give `px_per_mm`, or `ridge_period_mm` 0.45 where it is a"
-    " finger."
-)
-NO_SCALE = (
-    "its scale is unknown, and this needs millimetres: give `px_per_mm` (here, or where it is"
-    " reconstructed), or `ridge_period_mm` 0.45 to take the scale from the ridges."
-)
-
-
-def require_scale(measured: Camera | Reconstruction) -> None:
-    """Raise BadInput where nobody has measured the scale."""
-    require(measured.scale_known, NO_SCALE)
-
-
-def surface_of(result: Reconstruction) -> Surface:
-    """Part of a reconstruction that matching needs. Raises BadInput where its scale is unknown."""
-    require_scale(result)
-    return Surface(**{item.name: getattr(result, item.name) for item in fields(Surface)})
-
-
-# The thesis's rig as it is drawn.
-
-_LEDS_PER_BAND = 7
-"""LEDs of white light, and of near infrared. Source: thesis."""
-HALF_ANGLE_DEG = {"white": 30.0, "nir": 20.0}
-"""Where a data sheet's LED of 60 (40) deg viewing angle has half its light."""
-CROSSTALK: tuple[tuple[float, float, float], ...] = (
-    (1.000, 0.136, 0.045),
-    (0.218, 1.000, 0.229),
-    (0.071, 0.295, 1.000),
-)
-"""Signal of the red, green and blue pixels (rows) under a red, a green and a blue LED (columns),
-each row relative to its own: the IMX219's quantum efficiency under Gaussian lines at 625, 525 and
-465 nm, 20, 33 and 24 nm wide. Source: the sensor's quantum efficiency."""
-
-
-def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
-    """Return the thesis's rig: seven white and seven NIR LEDs on a circle of 52.5 mm at the
-    camera's height.
-
-    Raises BadInput if `scale` is out of range. Returns a rig whose LEDs 0 to 6 are white, at
-    azimuths 2 pi k / 7, and 7 to 13 NIR, half a step further. `scale`: size of the image relative
-    to the full frame of 2200 x 3200 pixels at 75.7 px/mm, in (0, 1]; `seed`: seed of the LEDs'
-    individual intensities; None makes all of them one; `intensity_spread`: standard deviation of
-    the intensities about one; they stay within 2.5 deviations.
-    """
-    require(0.0 < scale <= 1.0, f"scale must lie in (0, 1], but it is {scale}.")
-    camera = Camera(
-        px_per_mm=75.7 * scale,
-        image_size=(round(2200 * scale), round(3200 * scale)),
-        height_mm=140.0,
-    )
-    intensities = np.ones(2 * _LEDS_PER_BAND)
-    if seed is not None:
-        deviations = np.random.default_rng(seed).standard_normal(2 * _LEDS_PER_BAND)
-        intensities = 1.0 + intensity_spread * np.clip(deviations, -2.5, 2.5)
-    leds = []
-    for index in range(2 * _LEDS_PER_BAND):
-        nir, k = divmod(index, _LEDS_PER_BAND)
-        azimuth = 2.0 * np.pi * (k + 0.5 * nir) / _LEDS_PER_BAND
-        position = (float(52.5 * np.cos(azimuth)), float(52.5 * np.sin(azimuth)), 140.0)
-        intensity = round(float(intensities[index]), 6)
-        leds.append(Led(band="nir" if nir else "white", position_mm=position, intensity=intensity))
-    return Rig(
-        camera=camera,
-        leds=tuple(leds),
-        provenance={"source": "digital twin", "intensities": "exact"},
-    )
-
-
-def nominal_rig(scale: float = 1.0) -> Rig:
-    """The rig as drawings and data sheets have it: a perspective camera, 7 white and 7 NIR LEDs of
-    intensity one with their sheets' lobes, aimed at the origin. `scale`: of the full frame of 2200
-    x 3200 pixels, in (0, 1], or BadInput.
-    """
-    drawn = default_rig(scale)
-    rows, columns = drawn.camera.image_size
-    focal_px = drawn.camera.px_per_mm * drawn.camera.height_mm
-    matrix = np.array(
-        [[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]]
-    )
-    camera = replace(drawn.camera, model="perspective", matrix=matrix)
-    leds = tuple(
-        replace(led, lobe_exponent=lobe_exponent(HALF_ANGLE_DEG[led.band])) for led in drawn.leds
-    )
-    return Rig(camera=camera, leds=leds, provenance={"source": "digital twin", "rig": "as drawn"})
-
-
-def side_lights(leds: Sequence[Led]) -> tuple[int, ...]:
-    """Numbers of the near LEDs that stand more than 60 deg off the camera's axis."""
-    places = [(k, led.position_mm) for k, led in enumerate(leds) if led.position_mm is not None]
-    return tuple(k for k, (x, y, z) in places if np.hypot(x, y) > z * np.tan(np.deg2rad(60.0)))
-
-
-def lobe_exponent(half_angle_deg: float) -> float:
-    """Exponent m of cos^m that is one half at `half_angle_deg`."""
-    require(
-        1.0 <= half_angle_deg <= 80.0,
-        f"half_angle_deg must lie between 1 and 80, but it is {half_angle_deg}.",
-    )
-    return float(np.log(0.5) / np.log(np.cos(np.deg2rad(half_angle_deg))))
-
-
-def shared_exposures(exposures: int) -> tuple[tuple[int, int, int], ...]:
-    """Places on the circle, of 3 x `exposures` even ones, of the red, green and blue LED of each
-    exposure: those of one lie around the finger, and so do those of a colour. BadInput if it is not
-    one to three exposures.
-    """
-    require(
-        1 <= exposures <= 3, f"coloured LEDs take one to three exposures here, not {exposures}."
-    )
-    count = 3 * exposures
-    step = 4 if exposures == 3 else exposures
-    return tuple(
-        (3 * k, (3 * k + step) % count, (3 * k + 2 * step) % count) for k in range(exposures)
-    )

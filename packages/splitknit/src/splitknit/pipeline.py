@@ -1,57 +1,65 @@
 """From a capture to a metric fingerprint: :func:`reconstruct` picks a method and its parameters.
 
 The algorithm is in :mod:`splitknit.methods`, one function a method; presets are in
-:mod:`splitknit.presets`. Time, progress and results that several cases share wrap the steps from
-outside (:mod:`splitknit.steps`).
+:mod:`splitknit.presets`. Time and progress wrap the steps from outside (:mod:`splitknit.steps`).
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
 from splitknit import steps
+from splitknit.capture import Capture
 from splitknit.diagnosis.size import doubt_of_size
 from splitknit.errors import require
 from splitknit.findings import Finding, refuse, worst_first
 from splitknit.methods import METHODS, method_for
-from splitknit.methods.photographs import diagnosed, mirror_views, on_mirror_shape, placed, prepared
+from splitknit.methods.photographs import (
+    FingerPhotographs,
+    findings_for,
+    on_mirror_shape,
+    photographs_of,
+    placed,
+)
 from splitknit.methods.scale import with_scale, with_working_scale
-from splitknit.model import UNKNOWN_SCALE, Capture, FloatArray, Reconstruction
+from splitknit.model import FloatArray
 from splitknit.photometric.uncalibrated import with_estimated_lights
 from splitknit.plausible import TOP
 from splitknit.presets import PipelineSettings, chosen_settings
-from splitknit.steps import Memory
+from splitknit.reconstruction import UNKNOWN_SCALE, Reconstruction
 
-__all__ = ["reconstruct", "reconstruct_images", "with_scale"]
+__all__ = ["located", "reconstruct", "reconstruct_images", "with_scale"]
+
+NO_MIRRORS = (
+    "the rig has no mirrors, so that the shape cannot come from them: add them to rig.json, or"
+    " take `shape` nir or white."
+)
 
 
 def reconstruct(
-    capture: Capture | str | os.PathLike[str],
+    capture: Capture | FingerPhotographs,
     preset: str = "metric",
     settings: Mapping[str, Any] | PipelineSettings | None = None,
     progress: Callable[[str, float], None] | None = None,
     *,
-    memory: Memory | None = None,
     kept: dict[str, FloatArray] | None = None,
 ) -> Reconstruction:
     """Reconstruct one finger.
 
     Parameters
     ----------
-    capture : Capture, or the path of a capture folder
-        From :func:`splitknit.read_capture` or a simulator.
+    capture : Capture
+        From :func:`splitknit.read_capture` or a simulator; or what :func:`located` returns, which
+        several presets share.
     preset : a name of :data:`PRESETS`
     settings : mapping from ``stage.field`` to a value, or whole settings, optional
         Changes to the preset (mappings may be nested), of which the result says ``snk, changed``;
         whole settings instead of a preset are named after the one that they are, or are nearest to.
     progress : called with the name of the stage and the fraction done, optional
-    memory : what several cases of this very capture share, optional
-        Saves time; changes nothing.
     kept : dict, optional
-        Takes the images of those steps that the preset has and that no memory knows, linear light:
+        Takes the images of those steps that the preset has, linear light:
         ``chromaticity`` (h, w, 3) and its cluster ``raw_mask`` (h, w), reduced, and ``enhanced``,
         ``direct`` and ``global`` (L, h, w) of the finger's window under each white light.
 
@@ -63,9 +71,9 @@ def reconstruct(
     Raises
     ------
     BadInput
-        If the capture shows no finger, lacks a band, a setting is not known, or the memory is
-        another capture's; if photographs of skin contradict each other or their lights (setting
-        ``keep``).
+        If the capture shows no finger, lacks a band, or a setting is not known; if the finger was
+        located by other settings than the preset's; if photographs of skin contradict each other or
+        their lights (setting ``keep``).
 
     Examples
     --------
@@ -81,27 +89,64 @@ def reconstruct(
     chapter 3.
     """
     name, chosen = chosen_settings(preset, settings)
-    capture = _opened(capture, memory, mirrors=chosen.shape.source == "mirror")
     notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
-    capture, of_scale = with_working_scale(capture)
-    with steps.timed_run(progress, memory, kept) as seconds:
-        photographs = prepared(capture, chosen)
-        del capture  # `photographs` alone holds the images now, and can release them
-        photographs = diagnosed(photographs, chosen)
-        refuse(photographs.findings, keep=chosen.keep)
-        seen = (
-            mirror_views(photographs.capture, chosen) if chosen.shape.source == "mirror" else None
-        )
+    with steps.timed_run(progress, kept) as seconds:
+        photographs = _photographs(capture, chosen)
+        findings = findings_for(photographs, chosen)
+        refuse(findings, keep=chosen.keep)
         surface = METHODS[method_for(photographs, chosen)](photographs, chosen)
-        if seen is not None:
-            surface = on_mirror_shape(photographs, surface, seen, chosen)
+        if chosen.shape.source == "mirror":
+            photographs, surface = on_mirror_shape(photographs, surface, chosen)
         result = placed(photographs, surface, chosen.top_mm)
-    odd = doubt_of_size(photographs.capture, result, chosen.method == "metric")
-    findings = worst_first((*odd, *notes, *of_scale, *photographs.findings, *surface.findings))
+    odd = doubt_of_size(photographs.observation, result, chosen.method == "metric")
     result = replace(
-        result, findings=findings, preset=name, settings=asdict(chosen), timings_s=dict(seconds)
+        result,
+        findings=worst_first((*odd, *notes, *findings, *surface.findings)),
+        preset=name,
+        settings=asdict(chosen),
+        timings_s=dict(seconds),
     )
     return result if result.scale_known else _of_unknown_scale(result)
+
+
+def located(
+    capture: Capture,
+    preset: str = "metric",
+    settings: Mapping[str, Any] | PipelineSettings | None = None,
+) -> FingerPhotographs:
+    """The finger in a capture, and what is wrong with its photographs, for several calls of
+    :func:`reconstruct` by presets that find it in the same way.
+
+    Parameters and errors are those of :func:`reconstruct`.
+
+    Examples
+    --------
+    >>> import splitknit_simulator
+    >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})
+    >>> finger = located(capture, "snk")
+    >>> [reconstruct(finger, preset).preset for preset in ("snk", "ea")]
+    ['snk', 'ea']
+    """
+    _, chosen = chosen_settings(preset, settings)
+    require(
+        "white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it."
+    )
+    require(chosen.shape.source != "mirror" or capture.rig.mirrors, NO_MIRRORS)
+    scaled, of_scale = with_working_scale(capture)
+    photographs = photographs_of(scaled, chosen.finding())
+    return replace(photographs, findings=(*of_scale, *photographs.findings))
+
+
+def _photographs(
+    capture: Capture | FingerPhotographs, settings: PipelineSettings
+) -> FingerPhotographs:
+    if isinstance(capture, Capture):
+        return located(capture, settings=settings)
+    require(
+        capture.settings == settings.finding(),
+        "the finger was located by other settings than this preset's; locate it by the same.",
+    )
+    return capture
 
 
 def reconstruct_images(
@@ -150,33 +195,11 @@ def reconstruct_images(
     >>> result.height_mm.shape
     (120, 120)
     """
-    from splitknit.io.plain import capture_of_arrays  # large, and needed here alone
+    from splitknit.observation.plain import capture_of_arrays  # large, and needed here alone
 
     capture, notes = capture_of_arrays(images, lights, mask, px_per_mm, intensities)
     result = reconstruct(with_estimated_lights(capture))
     return replace(result, findings=worst_first((*notes, *result.findings)))
-
-
-def _opened(
-    capture: Capture | str | os.PathLike[str], memory: Memory | None, *, mirrors: bool
-) -> Capture:
-    """The capture, read where it is a path. Raises BadInput if it has no white band, or no
-    `mirrors` where they are needed, or the memory is another's."""
-    if not isinstance(capture, Capture):
-        from splitknit.io.capture import read_capture  # large, and needed for paths alone
-
-        capture = read_capture(capture)
-    if memory is not None:
-        memory.check(capture)
-    require(
-        "white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it."
-    )
-    if mirrors:
-        # large, and needed where there are mirrors
-        from splitknit.mirrors.captured import require_mirrors
-
-        require_mirrors(capture.rig)
-    return capture
 
 
 def _of_unknown_scale(result: Reconstruction) -> Reconstruction:

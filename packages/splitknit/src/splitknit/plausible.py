@@ -66,6 +66,9 @@ RIDGE_PERIOD = _Plausible(
 )
 """0.43 mm in women and 0.48 mm in men, 8 % between people (H. Cummins, W. J. Waits and J. T.
 McQuitty, Am. J. Anat. 68, 1941); children's from 0.3 mm."""
+USUAL_RIDGE_PERIOD_MM = 0.45
+"""Between 0.43 mm in women and 0.48 mm in men: what is assumed of a finger without a scale. Source:
+as `RIDGE_PERIOD`."""
 RELIEF = _Plausible(
     "odd-relief", "the ridges' height (5th to 95th percentile)", "um", (0.0, 400.0), (0.0, ANY)
 )

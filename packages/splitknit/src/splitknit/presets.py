@@ -9,14 +9,19 @@ from typing import Annotated, Any, Literal
 from splitknit.errors import require
 from splitknit.finger.contrast import ClaheSettings
 from splitknit.finger.locate import FingerSettings
-from splitknit.imaging.coloured import LightsSettings
 from splitknit.integration.knit import KnitSettings
 from splitknit.integration.shapelets import ShapeletSettings
 from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.observation.coloured import LightsSettings
 from splitknit.registry import own_object
 from splitknit.settings import Checked, Limits, check_fields, differing, override
 from splitknit.skin.diffusion import SkinSettings
 from splitknit.skin.images import MetricSettings
+
+NOT_SPLIT = (
+    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it:"
+    " take `preset` metric or snk."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +58,8 @@ class NormalsSettings(Checked):
 class HeightSettings(Checked):
     """Integration of normals to heights."""
 
-    method: Literal["poisson", "frankot_chellappa"] = "poisson"
-    """``poisson`` (masked least squares) or ``frankot_chellappa``."""
+    method: Literal["poisson", "piecewise", "frankot_chellappa"] = "poisson"
+    """``poisson`` (masked least squares), ``piecewise`` (keeps steps) or ``frankot_chellappa``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +130,7 @@ class PipelineSettings(FingerSettings):
 
     def __post_init__(self) -> None:
         check_fields(self)
+        require(self.shape.source != "mirror" or not self.visible_alone, NOT_SPLIT)
         rough = not self.smooth.sigma_mm
         require(
             self.method == "thesis" or rough,

@@ -2,30 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from splitknit.arguments import AnyPath, PlanePoint, Positive, checked, text_of
+from splitknit.arguments import AnyPath, PlanePoint, Positive, Report, checked
 from splitknit.errors import require
-
-
-@dataclass(frozen=True, slots=True)
-class Profile:
-    """Roughness of a surface along a line."""
-
-    facts: dict[str, Any]
-    """``Ra_um``, ``Rz_um``, ``Rq_um`` and others, by what ``profile.csv`` was made."""
-
-    def __str__(self) -> str:
-        facts = self.facts
-        lengths = facts["sampling_lengths"]
-        few = f" ({lengths} sampling lengths, ISO 4288 wants 5)" if lengths < 5 else ""
-        ra, rz, rq = (f"{facts[name]:.3g} um" for name in ("Ra_um", "Rz_um", "Rq_um"))
-        over = f"cut-off {facts['cutoff_mm']:g} mm{few}, over {facts['flat_mm']:.2f} mm"
-        return text_of(
-            [f"Ra {ra}, Rz {rz}, Rq {rq}, {over}.", f"Written to {facts['out']}: profile.csv."]
-        )
 
 
 @checked
@@ -36,7 +16,7 @@ def profile(
     *,
     cutoff: Positive = 0.8,
     out: AnyPath = Path("profile"),
-) -> Profile:
+) -> Report:
     """Cut a surface between two points, and measure its roughness there.
 
     Parameters
@@ -55,7 +35,8 @@ def profile(
 
     Returns
     -------
-    Profile
+    Report
+        Facts ``Ra_um``, ``Rz_um``, ``Rq_um`` and others, by what ``profile.csv`` was made.
 
     Raises
     ------
@@ -86,6 +67,21 @@ def profile(
     cells = [["" if np.isnan(value) else f"{value:.4f}" for value in row] for row in rows]
     with atomic_folder(Path(out)) as folder:
         write_file(folder / "profile.csv", csv_text([columns, *cells]).encode("ascii"))
-    return Profile(
-        {"out": str(out), "cutoff_mm": cutoff, "step_mm": step_mm, **figures, **cut.figures}
+    rise_mm, range_mm = float(cut.height_mm[-1] - cut.height_mm[0]), float(np.ptp(cut.height_mm))
+    facts = {"out": str(out), "cutoff_mm": cutoff, "step_mm": step_mm, **figures, **cut.figures}
+    facts["height_range_mm"] = range_mm
+    lengths = figures["sampling_lengths"]
+    few = f" ({lengths} sampling lengths, ISO 4288 wants 5)" if lengths < 5 else ""
+    ra, rz, rq = (_length(figures[name] / 1000.0) for name in ("Ra_um", "Rz_um", "Rq_um"))
+    heights = f"{_length(rise_mm)} from end to end, {_length(range_mm)} from lowest to highest"
+    lines = (
+        f"Height {heights}, over {cut.figures['flat_mm']:.2f} mm.",
+        f"Ra {ra}, Rz {rz}, Rq {rq}, cut-off {cutoff:g} mm{few}.",
+        f"Written to {out}: profile.csv.",
     )
+    return Report(facts, lines)
+
+
+def _length(length_mm: float) -> str:
+    """A length in the unit in which it is read easily."""
+    return f"{1000.0 * length_mm:.3g} um" if abs(length_mm) < 1.0 else f"{length_mm:.3g} mm"

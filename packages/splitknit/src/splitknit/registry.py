@@ -32,7 +32,7 @@ VERBS = {
             " other systems into PNG"
         ),
     ),
-    "reconstruct": (CORE, "turn a capture folder, or photographs, into a 3D fingerprint"),
+    "reconstruct": (CORE, "turn a capture folder, photographs or a normal map into a surface"),
     "separate": (
         CORE,
         "split images under fine patterns into direct and global light, or polarised ones",
@@ -52,52 +52,9 @@ VERBS = {
     "batch": (MATCH, "reconstruct and compare a population, or reconstruct many objects"),
     "profile": (CORE, "cut a surface between two points, and measure its roughness there"),
     "print": (MATCH, "turn a finger in space into a flat print of 500 pixels per inch"),
-    "pad": (
-        MATCH,
-        "detect presentation attacks: was live skin photographed, or a copy, or is that unknown",
-    ),
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of
 help."""
-GONE: dict[str, str] = {
-    "completion": (
-        "the options of a verb are in its '--help', and a typo is answered by what was meant."
-    ),
-    "forget": (
-        "'gallery remove' erases a person from a gallery; docs/guide/data-protection.md lists the"
-        " other files."
-    ),
-    "gallery index": (
-        "up to some 100,000 captures are searched by an index in memory; leave the command out."
-    ),
-    "gallery migrate": (
-        "use 'gallery export' of the program that wrote the gallery, and 'gallery import' of this"
-        " one."
-    ),
-    "gallery rekey": (
-        "use 'gallery export', and 'gallery import' into a new file under the other key."
-    ),
-    "gallery repair": "what is damaged is named when it is read: 'gallery remove' takes it out.",
-    "gallery check": "a gallery is checked whenever it is opened.",
-    "calibrate shading": (
-        "gel sensors are not calibrated any more; lights of opaque things are, with a ball or a"
-        " nail."
-    ),
-    "view": "open report.html in the result's folder: it shows the surface in three dimensions.",
-    "rig cad": (
-        "draw the parts from a checkout, with 'python -m hardware.draw' (docs/guide/rig-build.md)."
-    ),
-    "rig circuit": (
-        "design the board from a checkout, with 'python -m hardware.circuit'"
-        " (docs/guide/rig-circuit.md)."
-    ),
-    "rig phantom": "draw it from a checkout, with 'python -m hardware.phantom'.",
-    "rig optimise": "sweep rigs from a checkout, with 'python validation/thesis/rigs.py'.",
-    "train": "use the scripts of training/ from a checkout: 'python training/shape.py --out DIR'.",
-}
-"""Verbs that left, each with what to use instead, as one sentence."""
-
-GONE_OPTIONS = {"--input-ppi": "it is '--resolution-ppi' now, as in Python."}
 
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:
@@ -133,20 +90,14 @@ def objects_of(verb: str) -> dict[str, str]:
 
 def refusal(words: Sequence[str]) -> str:
     """Why the first word is no verb that can run; nothing if it is one."""
-    typed = " ".join(words) + " "
-    for name, instead in GONE.items():
-        if typed.startswith(f"{name} "):
-            return f"'{name}' left the program: {instead}"
-    for name, instead in GONE_OPTIONS.items():
-        if any(word.partition("=")[0] == name for word in words):
-            return f"'{name}' left the program: {instead}"
     verb = next((word for word in words if not word.startswith("-")), "")
     if verb and verb not in VERBS and verb not in verbs_known():
         from difflib import get_close_matches
 
         near = get_close_matches(verb, VERBS, 1)
-        hint = f"did you mean '{near[0]}'?" if near else "'splitknit --help' lists them."
-        return f"there is no verb {verb[:100]!a}; {hint}"
+        if near:
+            return f"there is no verb {verb[:100]!a}; did you mean '{near[0]}'?"
+        return f"there is no verb {verb[:100]!a}; 'splitknit --help' lists them."
     if verb in VERBS and not objects_of(verb):
         return not_installed(f"'splitknit {verb}'", VERBS[verb][0])
     return ""
@@ -167,8 +118,10 @@ def extension(group: str, name: str, what: str, distribution: str) -> Any:
 
 def not_installed(what: str, distribution: str) -> str:
     """One sentence on what is missing, and the command that adds it."""
-    how = f"add it, in splitknit's folder, with 'pip install ./packages/{distribution}'."
-    return f"{what} comes with {distribution}, which is not installed; {how}"
+    return (
+        f"{what} comes with {distribution}, which is not installed; add it, in splitknit's folder,"
+        f" with 'pip install ./packages/{distribution}'."
+    )
 
 
 def own_object(kind: str, name: str, known: Iterable[str]) -> Any:
@@ -181,8 +134,11 @@ def own_object(kind: str, name: str, known: Iterable[str]) -> Any:
 
     value = registered(f"splitknit.{kind}s").get(name, name)
     near = get_close_matches(name, known, 1)
-    hint = f"; did you mean '{near[0]}'?" if near else "."
-    cure = f"known are {', '.join(known)}, and your own as MODULE:NAME{hint}"
-    require(":" in value, f"there is no {kind} '{name}'; {cure}")
+    meant = f"; did you mean '{near[0]}'?" if near else "."
+    require(
+        ":" in value,
+        f"there is no {kind} '{name}'; known are {', '.join(known)}, and your own as"
+        f" MODULE:NAME{meant}",
+    )
     with refusing(f"the {kind} '{name}' cannot be imported; is its module on PYTHONPATH?"):
         return resolve_name(value)

@@ -14,7 +14,6 @@ from functools import cache
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from splitknit.errors import BadInput, require
-from splitknit.parameters import LONGEST_NAME
 
 Settings = TypeVar("Settings")
 _KINDS = {"float": "a number", "int": "a whole number", "bool": "true or false", "str": "a text"}
@@ -100,14 +99,10 @@ def check_value(name: str, rule: Limits | tuple[Any, ...], value: Any) -> None:
 
 
 def _group(kind: type[Checked]) -> str:
-    if kind._group is not None:
-        return kind._group and kind._group + "."
-    return (
-        "".join(f"_{c.lower()}" if c.isupper() else c for c in kind.__name__)[1:].removesuffix(
-            "_settings"
-        )
-        + "."
-    )
+    group = kind._group
+    if group is None:
+        group = re.sub("(?<!^)(?=[A-Z])", "_", kind.__name__).lower().removesuffix("_settings")
+    return group and group + "."
 
 
 @cache
@@ -175,10 +170,9 @@ def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """
     result = settings
     for name, value in flatten(changes).items():
-        sound = len(name) <= LONGEST_NAME and name.isprintable()
         require(
-            sound,
-            f"there is no setting {name[:LONGEST_NAME]!a}; settings are named as stage.field.",
+            len(name) <= 100 and name.isprintable(),
+            f"there is no setting {name[:100]!a}; settings are named as stage.field.",
         )
         result = _replaced(result, name.split("."), value, name)
     return result

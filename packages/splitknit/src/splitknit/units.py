@@ -35,6 +35,17 @@ class LengthUnit:
         """The unit as the head of a file states it."""
         return self.name if self.known else "pixel, the scale is unknown"
 
+    def fitting(self, length_mm: float) -> tuple[str, float]:
+        """The unit in which a length is read easily, and that unit's number in a mm: the small one
+        below 1 mm.
+
+        >>> MILLIMETRES.fitting(2.5)
+        ('mm', 1.0)
+        """
+        if length_mm < 1.0:
+            return self.small, self.small_per_mm
+        return self.name, self.per_mm
+
     def heights(self, heights_mm: NDArray[np.float32]) -> NDArray[np.float32]:
         """An array of lengths in this unit; the same array where it is in mm already."""
         return heights_mm if self.known else heights_mm * np.float32(self.per_mm)

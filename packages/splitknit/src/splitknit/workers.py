@@ -18,11 +18,12 @@ from typing import TypeVar
 from splitknit.errors import BadInput
 from splitknit.files import with_given_folders
 from splitknit.interrupts import UNFINISHED
-from splitknit.parameters import GRACE_S
-from splitknit.steps import one_heap
+from splitknit.io.paging import one_heap
 
 Job = TypeVar("Job")
 Done = TypeVar("Done")
+_GRACE_S = 1.0
+"""Time for workers that are ended to remove what they have half written."""
 
 
 def run_jobs(
@@ -65,7 +66,7 @@ def run_jobs(
         ours = set(multiprocessing.active_children()) - earlier
         for process in ours:
             process.terminate()
-        end = time.monotonic() + GRACE_S
+        end = time.monotonic() + _GRACE_S
         for process in ours:
             process.join(max(0.0, end - time.monotonic()))
             process.kill()

@@ -58,8 +58,12 @@ def test_finished_captures_are_skipped_and_the_others_stay_in_order(tmp_path):
 def test_a_plan_may_grow_but_not_shrink(tmp_path):
     folder = tmp_path / "e"
     open_enrolment(folder, subjects=2, sessions=2, fingers=FINGERS[:2])
-    assert open_enrolment(folder, subjects=3).plan == EnrolmentPlan(3, 2, FINGERS[:2])
-    assert open_enrolment(folder, fingers=FINGERS).plan == EnrolmentPlan(3, 2, FINGERS)
+    assert open_enrolment(folder, subjects=3).plan == EnrolmentPlan(
+        subjects=3, sessions=2, fingers=FINGERS[:2]
+    )
+    assert open_enrolment(folder, fingers=FINGERS).plan == EnrolmentPlan(
+        subjects=3, sessions=2, fingers=FINGERS
+    )
     for less in ({"subjects": 2}, {"sessions": 1}, {"fingers": FINGERS[:3]}):
         with pytest.raises(BadInput, match=r"3 subjects, 2 sessions and 10 fingers.*not shrink"):
             open_enrolment(folder, **less)

@@ -43,7 +43,7 @@ def waves(tmp_path_factory) -> Path:
 
 def test_the_roughness_of_sine_waves_is_exact(waves, tmp_path, capsys):
     out = tmp_path / "profile"
-    assert main(["profile", str(waves), "-4,0", "4,0.1", "--out", str(out), "--json"]) == 0
+    assert main(f"profile {waves} -4,0 4,0.1 --out {out} --json".split()) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["Ra_um"] == pytest.approx(20 / np.pi, rel=0.03)
     assert facts["Rz_um"] == pytest.approx(20, rel=0.05)  # ten heights a wave miss its top
@@ -51,15 +51,16 @@ def test_the_roughness_of_sine_waves_is_exact(waves, tmp_path, capsys):
     table = np.genfromtxt(out / "profile.csv", delimiter=",", names=True)
     assert np.ptp(table["height_um"]) == pytest.approx(800, rel=0.05)
     assert np.nanstd(table["roughness_um"]) == pytest.approx(facts["Rq_um"], rel=0.01)
+    assert facts["height_range_mm"] == pytest.approx(0.8, rel=0.05)
     assert (waves / "surface.ply").is_file() and not (waves / "phalange.ply").exists()
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["-4,0", "-3.5,0"], "two cut-offs of 0.8 mm"),
+        (["-4,0", "-3.5,0"], "0.5 mm long, with a height every 25 um"),
         (["-6.4,0", "4,0"], "has a gap"),
-        (["-4,0", "4,0", "--cutoff", "0.1"], "give a larger one"),
+        (["-4,0", "4,0", "--cutoff", "0.1"], "use --cutoff 0.25"),
         (["-4", "4,0"], "'-4' must be X,Y"),
         (["nan,0", "4,0"], "must be X,Y"),
         (["90,0", "95,0"], "no surface lies between"),

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.diagnosis.frames import FRAMES, doubt_of_lights, fit_lights, rig_of_frame
-from splitknit.diagnosis.parameters import SPOILT_DEG
+from splitknit.capture import Band, Capture
+from splitknit.diagnosis.frames import FRAMES, SPOILT_DEG, doubt_of_lights, fit_lights, rig_of_frame
 from splitknit.errors import BadInput
-from splitknit.model import Band, Camera, Capture, Led, Rig
+from splitknit.model import Camera, Led, Rig
 from splitknit.pipeline import reconstruct
 
 SHAPE = (120, 100)

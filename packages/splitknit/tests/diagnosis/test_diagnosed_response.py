@@ -7,7 +7,6 @@ import pytest
 
 from splitknit.diagnosis.response import (
     blue_over_red,
-    clipped_part,
     colour_spread,
     height_over_half_width,
     image_gains,
@@ -80,9 +79,3 @@ def test_height_colour_and_clipping_are_measured():
     ) == pytest.approx(0.8, abs=0.05)
     assert blue_over_red(light) == pytest.approx(0.5)
     assert blue_over_red(light[::-1]) == pytest.approx(2.0)
-    stored = np.moveaxis(light, 0, 2)
-    assert clipped_part(stored)[0] < 0.05
-    stored[4, :300, 0] = 0.6
-    part, image, colour = clipped_part(stored)
-    assert (image, colour) == (4, 0)
-    assert part == pytest.approx(300 / stored.shape[1], abs=0.02)

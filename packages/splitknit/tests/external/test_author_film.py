@@ -15,7 +15,7 @@ from splitknit.finger.mask import finger_mask, touched_borders
 from splitknit.finger.orientation import find_upright
 from splitknit.finger.phalange import find_crease, phalange_mask
 from splitknit.finger.ridges import relief_print
-from splitknit.imaging.band import GREY_WEIGHTS
+from splitknit.imaging.pixels import GREY_WEIGHTS
 from splitknit.model import BoolArray, FloatArray
 from splitknit.separation.direct import direct_light
 
@@ -115,7 +115,7 @@ def photographs(data_dir: Path) -> dict[str, FloatArray]:
 
 
 def test_the_white_frame_is_segmented_turned_cut_at_its_crease_and_printed(photographs):
-    prints = pytest.importorskip("splitknit_match.prints.from_file")
+    inputs = pytest.importorskip("splitknit_match.matching.inputs")
 
     white, px_per_mm = photographs["white"], WHITE_FRAME_PX / FINGER_MM
     mask, grey = finger_mask(white, px_per_mm), white @ GREY_WEIGHTS
@@ -127,7 +127,7 @@ def test_the_white_frame_is_segmented_turned_cut_at_its_crease_and_printed(photo
     assert crease.detected and crease.distance_mm == pytest.approx(23.2, abs=0.5)
     phalange = phalange_mask(mask, crease, upright)
     image = relief_print(grey, phalange, px_per_mm, upright.input_from_upright, upright.size)
-    assert 40 < len(prints.print_minutiae(image).x_px) < 120
+    assert 40 < len(inputs.print_template(image).minutiae.x_px) < 120
 
 
 def test_red_is_clipped_all_over_the_finger(photographs):

@@ -6,33 +6,15 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_stack, srgb_code
+from splitknit.imaging.pixels import srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.light_list import read_light_list
 from splitknit.io.photographs import GivenPhotographs
-from splitknit.io.plain import capture_from_photographs
-from splitknit.model import Band, Camera, Capture, Led, Rig
+from splitknit.observation.observe import observe
+from splitknit.observation.plain import capture_from_photographs
 
 pytestmark = pytest.mark.external
-
-
-def capture_from_arrays(
-    images: np.ndarray, lights: np.ndarray, mask: np.ndarray, px_per_mm: float
-) -> Capture:
-    """Grey images (L, H, W) uint16 under distant lights (L, 3), as DiLiGenT comes."""
-    units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
-    count = len(images)
-    band = Band(
-        "white",
-        images[..., None],
-        tuple((k,) for k in range(count)),
-        np.ones(count),
-        np.zeros(count),
-    )
-    leds = tuple(Led("white", direction=(float(x), float(y), float(z))) for x, y, z in units)
-    rig = Rig(Camera(px_per_mm, (images.shape[1], images.shape[2])), leds)
-    return Capture(rig, {"white": band}, material="opaque", mask=mask)
 
 
 def test_photographs_of_the_blender_phalange_survive_a_capture_folder(data_dir, tmp_path):
@@ -51,7 +33,7 @@ def test_photographs_of_the_blender_phalange_survive_a_capture_folder(data_dir, 
     again = read_capture(tmp_path / "capture")
     assert again.bands["white"].pixels.shape[:3] == (12, *again.shape)
     assert again.mask is not None
-    light = linear_stack(again.bands["white"], again.encoding)
+    light = observe(again).white.grey
     outside = light[:, ~again.mask]
     assert abs(float(np.median(outside))) < 1e-6  # the constant background is gone
     assert float(np.median(light[:, again.mask])) > 0.1
@@ -77,29 +59,13 @@ def test_the_shading_of_the_spheres_agrees_with_their_lights(data_dir, tmp_path)
     x = (columns - (columns.min() + columns.max()) / 2) / radius
     y = ((rows.min() + rows.max()) / 2 - rows) / radius
     normals = np.stack([x, y, np.sqrt(np.clip(1 - x * x - y * y, 0, 1))], axis=1)
-    for image, light in zip(linear_stack(again.bands["white"], "linear"), lights, strict=True):
+    for image, light in zip(observe(again).white.grey, lights, strict=True):
         shade = image[again.mask]
         lit = shade > 0.25 * shade.max()
         seen = np.linalg.lstsq(normals[lit], shade[lit], rcond=None)[0]
         assert seen @ light > np.cos(np.deg2rad(10.0)) * np.linalg.norm(seen) * np.linalg.norm(
             light
         )
-
-
-def test_photographs_and_lights_with_mirrors_are_read(data_dir):
-    folder = data_dir / "blender_finger" / "with_mirrors"
-    assert read_light_list(folder / "lights.txt").lights.shape == (7, 3)
-    assert read_image(folder / "light_00.png").shape == (2000, 3000, 3)
-
-
-def test_diligent_survives_a_capture_folder(data_dir, tmp_path):
-    with np.load(data_dir / "diligent" / "bear.npz") as bear:
-        images, lights, mask = bear["images"], bear["lights"], bear["mask"].astype(bool)
-    write_capture(capture_from_arrays(images, lights, mask, 4.0), tmp_path / "bear")
-    again = read_capture(tmp_path / "bear")
-    np.testing.assert_array_equal(again.bands["white"].pixels[..., 0], images)
-    assert again.mask is not None
-    np.testing.assert_array_equal(again.mask, mask)
 
 
 def test_every_independent_image_is_read_or_refused_by_name(data_dir):

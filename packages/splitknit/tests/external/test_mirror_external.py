@@ -9,10 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
+from splitknit.capture import Band, Capture
 from splitknit.io.images import read_image
 from splitknit.mirrors.captured import SeenInMirrors, seen_in_mirrors
 from splitknit.mirrors.settings import MirrorShapeSettings
-from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
+from splitknit.model import Camera, Led, Mirror, Rig
+from splitknit.observation.observe import observe
 
 pytestmark = [pytest.mark.external, pytest.mark.slow]
 
@@ -71,14 +73,14 @@ def capture(data_dir: Path) -> Capture:
 
 @pytest.fixture(scope="module")
 def seen(capture: Capture) -> SeenInMirrors:
-    return seen_in_mirrors(capture, MirrorShapeSettings())
+    return seen_in_mirrors(observe(capture), MirrorShapeSettings())
 
 
 def reprojected(seen: SeenInMirrors, name: str, points: np.ndarray) -> np.ndarray:
     """Column and row at which the camera sees points (n, 3), in a mirror where the fit has it or
     (``front``) itself."""
     if name != "front":
-        mirror = next(m for m in seen.capture.rig.mirrors if m.name == name)
+        mirror = next(m for m in seen.rig.mirrors if m.name == name)
         plane = seen.shape.plane(mirror)
         points = points - 2 * np.outer(points @ plane.normal - plane.offset_mm, plane.normal)
     near = (FOCAL_PX / PX_PER_MM - points[:, 2]) / FOCAL_PX
@@ -132,6 +134,6 @@ def test_the_finger_is_distinguished_from_its_mirror_images(capture, seen):
 
 def test_one_mirror_is_enough_for_a_shape(capture):
     rig = replace(capture.rig, mirrors=capture.rig.mirrors[:1])
-    alone = seen_in_mirrors(replace(capture, rig=rig), MirrorShapeSettings())
+    alone = seen_in_mirrors(observe(replace(capture, rig=rig)), MirrorShapeSettings())
     assert alone.shape.facts["mirrors"] == ["left"]
     assert alone.shape.facts["outline_rms_mm"]["left"] < 0.1

@@ -11,8 +11,8 @@ import pytest
 import splitknit
 from forty_lines import BLOCK, blocks, forty_lines, surface_rms_mm
 from script_folder import VALIDATION, scripts_of
-from splitknit.imaging.band import linear_channels
-from splitknit.model import Capture
+from splitknit.capture import Capture
+from splitknit.observation.observe import observe
 
 pytestmark = pytest.mark.slow
 
@@ -45,9 +45,9 @@ def traced(request, data_dir: Path) -> Traced:
 
 def baseline_rms_mm(traced: Traced) -> float:
     """Root mean square error of the forty lines."""
-    white, mask, rig = traced.capture.bands["white"], traced.truth["mask"], traced.capture.rig
+    mask, rig = traced.truth["mask"], traced.capture.rig
     whole = (slice(0, mask.shape[0]), slice(0, mask.shape[1]))
-    red = linear_channels(white, traced.capture.encoding, ("red",), whole)[0]
+    red = observe(traced.capture).white.at(1, whole).stack[0]
     leds = [rig.leds[k] for k in range(len(red))]
     places, powers = (
         np.array([led.position_mm for led in leds]),

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.imaging.band import linear_image
 from splitknit.io.images import read_image
+from splitknit.observation.stored import linear_image
 from splitknit.separation.binary import checkerboard
 
 pytestmark = pytest.mark.external

@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from splitknit.capture import Band, Capture
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.finger.hand import fingers_apart
 from splitknit.finger.mask import finger_mask
-from splitknit.imaging.band import linear_stack
-from splitknit.imaging.crop import cropped
 from splitknit.imaging.view import plane_points
 from splitknit.io.capture import read_capture, write_capture
-from splitknit.model import Band, Camera, Capture, Rig, default_rig, nominal_rig
+from splitknit.model import Camera, Rig
+from splitknit.nominal import default_rig, nominal_rig
+from splitknit.observation.crop import cropped
+from splitknit.observation.observe import observe
 
 PX_PER_MM, SHAPE = 8.0, (320, 720)
 MIDDLES_MM, TIPS_MM, HALF_MM = (-33.0, -11.0, 11.0, 33.0), (24.0, 33.0, 36.0, 31.0), 7.0
@@ -53,7 +55,7 @@ def test_four_fingers_are_cut_apart_and_named():
     assert list(fingers) == ["right_little", "right_ring", "right_middle", "right_index"]
     for (name, own), middle, tip in zip(fingers.items(), MIDDLES_MM, TIPS_MM, strict=True):
         assert own.subject == {"id": "S01", "session": 1, "finger": name}
-        mask = finger_mask(linear_stack(own.bands["white"], "linear").mean(axis=0), PX_PER_MM)
+        mask = finger_mask(observe(own).white.grey.mean(axis=0), PX_PER_MM)
         rows, columns = np.nonzero(mask)
         assert columns.max() - columns.min() == pytest.approx(2 * HALF_MM * PX_PER_MM, abs=3)
         # the part's frame has its origin in the part's middle; lights moved against it
@@ -91,7 +93,6 @@ def test_cropping_keeps_the_linear_light(encoding):
     camera = replace(capture.rig.camera, shading=shading)
     white = replace(
         capture.bands["white"],
-        shading=shading,
         exposure=np.linspace(1, 2, 7),
         black_level=np.full(7, 2.0),
     )
@@ -101,8 +102,8 @@ def test_cropping_keeps_the_linear_light(encoding):
     part = cropped(capture, window)
     assert part.rig.camera.shading == ()
     before, after = (
-        linear_stack(white, encoding, "grey", window),
-        linear_stack(part.bands["white"], encoding, "grey"),
+        observe(capture).white.at(1, window).grey,
+        observe(part).white.grey,
     )
     ratio = after[:, before[0] > 0.1] / before[:, before[0] > 0.1]
     assert np.ptp(ratio) / ratio.mean() < 0.01
@@ -149,6 +150,5 @@ def test_import_writes_a_capture_of_each_finger(tmp_path, capsys):
     assert run("right", "left", "wrong") == 2
     assert "those of a right hand (the outer ones differ by 7 mm)" in capsys.readouterr().err
     assert not (tmp_path / "wrong").exists()
-    for option in ("--keep", "--force"):
-        assert run("right", "left", "wrong", option, "--overwrite") == 0
+    assert run("right", "left", "wrong", "--keep") == 0
     assert (tmp_path / "wrong" / "left_index").is_dir()

@@ -116,3 +116,13 @@ def test_what_brightness_cannot_part_is_refused_rather_than_cut(
 ) -> None:
     with pytest.raises(BadInput, match=r"no object was found|the object touches"):
         codes_and_overlap(height, inside, albedo, behind)
+
+
+def test_a_whole_object_is_meant_beside_a_larger_one_that_reaches_the_border() -> None:
+    """The white case in a corner of a stranger's photographs was measured, not the fossil."""
+    small = ball(150, 70, 40)
+    card = (COLUMN < 110) & (ROW > 110) & (COLUMN - 110 < ROW - 150)
+    height = np.where(card, 8.0, small)
+    codes, overlap = codes_and_overlap(height, small > 0, 0.4, np.where(card, 0.7, 0.02))
+    assert "background-left-out" in codes
+    assert overlap > 0.9

@@ -11,7 +11,6 @@ import pytest
 
 from splitknit.finger import registration
 from splitknit.finger.registration import details_of, register_shots, without_glare
-from splitknit.finger.steady import take
 
 PX = 14.0
 
@@ -147,17 +146,15 @@ def test_shifts_and_turns_are_found_under_changing_light(scene, centre, register
 
 
 def test_pixels_taken_along_the_flow_undo_the_motion(scene, motion, registered):
-    again = np.zeros_like(motion[0])
-    take(motion[0], registered.flow, 0, PX, np.s_[0 : again.shape[0], 0 : again.shape[1]], again)
+    size = motion[0].shape[::-1]
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    again = cv2.warpAffine(motion[0], registered.flow.affine(0, PX), size, flags=flags)
 
     def fine(image):
         return (image - cv2.GaussianBlur(image, (0, 0), 0.3 * PX))[inner(scene)]
 
     assert np.corrcoef(fine(again), fine(scene.stack[0]))[0, 1] > 0.95
     assert np.corrcoef(fine(motion[0]), fine(scene.stack[0]))[0, 1] < 0.6
-    part = np.zeros_like(again)
-    take(motion[0], registered.flow, 0, PX, np.s_[40:90, 30:120], part)
-    np.testing.assert_allclose(part[40:90, 30:120], again[40:90, 30:120], atol=1e-3)
 
 
 def test_registration_does_not_depend_on_the_order_of_the_lights(scene, motion, registered):

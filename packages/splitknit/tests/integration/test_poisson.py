@@ -88,31 +88,12 @@ def test_equals_a_direct_solver_on_any_mask(name, weighted):
     assert np.sqrt(np.mean((got - expected)[mask] ** 2)) < 2e-3 * scale
 
 
-@pytest.mark.parametrize("shape", [(40, 60), (61, 37), (2, 9), (1, 8), (5, 1)])
-def test_whole_rectangle_is_exact_for_a_paraboloid(shape):
-    height, slope_x, slope_y = paraboloid(*shape)
-    got = poisson(slope_x, slope_y)
-    assert np.abs(got - (height - height.mean())).max() < 2e-5 * max(1.0, np.abs(height).max())
-
-
 def test_rectangle_and_masked_solver_agree():
     rng = np.random.default_rng(2)
     slope_x, slope_y = rng.normal(size=(2, 45, 66))
     direct = poisson(slope_x, slope_y)
     iterated = poisson(slope_x, slope_y, weights=np.ones((45, 66)))
     assert np.abs(direct - iterated).max() < 1e-4
-
-
-def test_mean_is_zero_in_every_part():
-    mask = np.zeros((30, 50), dtype=bool)
-    mask[3:20, 4:18] = True
-    mask[10:28, 25:45] = True
-    mask[0, 49] = True
-    height = poisson(np.ones((30, 50)), np.zeros((30, 50)), mask)
-    assert abs(height[3:20, 4:18].mean()) < 1e-5
-    assert abs(height[10:28, 25:45].mean()) < 1e-5
-    assert height[0, 49] == 0
-    assert np.allclose(np.diff(height[12, 4:18]), 1, atol=1e-4)
 
 
 def test_parts_that_touch_at_a_corner_have_zero_mean_each():
@@ -123,11 +104,13 @@ def test_parts_that_touch_at_a_corner_have_zero_mean_each():
     assert height.dtype == np.float32
 
 
-def test_y_is_up():
-    height = poisson(
-        np.zeros((20, 20)), np.ones((20, 20)), np.pad(np.ones((18, 18), dtype=bool), 1)
-    )
-    assert height[2, 10] > height[15, 10]
+@pytest.mark.parametrize("weights", [None, np.full((5, 5), 0.5)])
+def test_pixels_without_neighbours_have_height_zero(weights):
+    mask = np.zeros((5, 5), dtype=bool)
+    mask[1, 1] = mask[3, 3] = True
+    height = poisson(np.ones((5, 5)), np.ones((5, 5)), mask, weights)
+    assert (height[mask] == 0).all()
+    assert np.isnan(height[~mask]).all()
 
 
 def test_values_outside_the_mask_do_not_matter():
@@ -136,18 +119,6 @@ def test_values_outside_the_mask_do_not_matter():
     clean = poisson(slope_x, slope_y, mask)
     slope_x[~mask], slope_y[~mask] = np.nan, 1e9
     assert np.array_equal(poisson(slope_x, slope_y, mask), clean, equal_nan=True)
-
-
-def test_untrusted_pixels_are_bridged():
-    height, slope_x, slope_y = paraboloid(60, 60)
-    weights = np.ones((60, 60))
-    weights[20:26, 30:36] = 0
-    slope_x[20:26, 30:36] = 50.0
-    got = poisson(slope_x, slope_y, None, weights)
-    error = got - height
-    error -= np.median(error)
-    assert np.abs(error[weights > 0]).max() < 1.0
-    assert np.abs((poisson(slope_x, slope_y) - height + height.mean())[weights > 0]).max() > 10.0
 
 
 def test_a_single_untrusted_pixel_takes_its_neighbours_slopes():
@@ -192,7 +163,7 @@ def test_result_does_not_depend_on_threads():
 
 @pytest.mark.parametrize("name", ["comb", "stripes", "spiral"])
 def test_strands_that_coarse_pixels_would_weld_converge_at_once(name, monkeypatch):
-    monkeypatch.setattr("splitknit.integration.poisson.MAX_ITERATIONS", 8)
+    monkeypatch.setattr("splitknit.integration.poisson._MAX_ITERATIONS", 8)
     mask = masks()[name]
     slope_x, slope_y = np.random.default_rng(7).normal(size=(2, *mask.shape)).astype(np.float32)
     got = poisson(slope_x, slope_y, mask)
@@ -204,10 +175,10 @@ def test_strands_that_coarse_pixels_would_weld_converge_at_once(name, monkeypatc
 def test_weighted_iteration_converges_as_fast_as_on_large_surfaces(name, monkeypatch, caplog):
     """In four iterations, without the factorisation that small surfaces have."""
     for limit, value in (
-        ("MOST_FACTORISED", 0),
-        ("MOST_DIRECT", 0),
-        ("RESTARTS", 1),
-        ("MAX_ITERATIONS", 4),
+        ("_MOST_FACTORISED", 1000),
+        ("_MOST_DIRECT", 0),
+        ("_ROUNDS", 1),
+        ("_MAX_ITERATIONS", 4),
     ):
         monkeypatch.setattr(f"splitknit.integration.poisson.{limit}", value)
     mask, rng = masks()[name], np.random.default_rng(1)
@@ -223,8 +194,9 @@ def test_weighted_iteration_converges_as_fast_as_on_large_surfaces(name, monkeyp
 def test_iteration_that_does_not_converge_is_factorised_or_warns(
     direct, warned, monkeypatch, caplog
 ):
-    """The start alone does not suffice; more unknowns than `_DIRECT` are not factorised."""
-    for limit, value in (("MOST_FACTORISED", 0), ("MOST_DIRECT", direct), ("MAX_ITERATIONS", 0)):
+    """One iteration does not suffice; more unknowns than `_MOST_DIRECT` are not factorised."""
+    limits = {"_MOST_FACTORISED": 100, "_MOST_DIRECT": direct, "_MAX_ITERATIONS": 1, "_ROUNDS": 2}
+    for limit, value in limits.items():
         monkeypatch.setattr(f"splitknit.integration.poisson.{limit}", value)
     mask, rng = masks()["holes"], np.random.default_rng(1)
     slope_x, slope_y = rng.normal(size=(2, *mask.shape)).astype(np.float32)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.plain import read_flat
+from splitknit.observation.plain import read_flat
 
 
 def test_flat_photographs_of_different_sizes_are_refused(tmp_path):

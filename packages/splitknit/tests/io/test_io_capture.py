@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from small_capture import edit
+from splitknit.capture import Ambient, Capture
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.npz import read_npz
 from splitknit.io.rig import read_rig, write_rig
-from splitknit.model import Camera, Capture, Led, Rig
+from splitknit.model import Camera, Led, Rig
+from splitknit.observation.observe import observe
 
 
 def assert_same(a: Capture, b: Capture) -> None:
@@ -30,11 +31,9 @@ def assert_same(a: Capture, b: Capture) -> None:
         np.testing.assert_array_equal(first.black_level, second.black_level)
         assert (first.ambient is None) == (second.ambient is None)
         if first.ambient is not None:
-            np.testing.assert_array_equal(first.ambient, second.ambient)
-        assert (first.ambient_exposure, first.ambient_black_level) == (
-            second.ambient_exposure,
-            second.ambient_black_level,
-        )
+            np.testing.assert_array_equal(first.ambient.pixels, second.ambient.pixels)
+            assert first.ambient.exposure == second.ambient.exposure
+            assert first.ambient.black_level == second.ambient.black_level
     assert a.rig.leds == b.rig.leds
     assert a.rig.provenance == b.rig.provenance
     assert a.rig.camera.px_per_mm == b.rig.camera.px_per_mm
@@ -66,9 +65,7 @@ def test_a_written_capture_is_read_back(dtype, channels, tmp_path, build_capture
         white,
         exposure=np.array([0.5, 1.0, 0.25, 1 / 3]),
         black_level=np.array([1.0, 0.0, 2.5, 0.0]),
-        ambient=white.pixels[0] // 20,
-        ambient_exposure=0.7,
-        ambient_black_level=1.0,
+        ambient=Ambient(white.pixels[0] // 20, 0.7, 1.0),
         leds=((0, 1), (1,), (2,), (3,)),
     )
     capture = replace(capture, bands={**capture.bands, "white": white})
@@ -122,12 +119,13 @@ def test_exposure_gain_and_black_level_bring_images_to_one_scale(folder):
         images[1] = {"file": images[1], "gain": 2}
         images[2] = {"file": images[2]}
 
-    before = linear_stack(read_capture(folder).bands["white"], "linear")
+    before = observe(read_capture(folder)).white.grey
     edit(folder / "capture.json", expose)
-    band = read_capture(folder).bands["white"]
+    capture = read_capture(folder)
+    band = capture.bands["white"]
     assert band.exposure.tolist() == [2.0, 2.0, 1.0, 1.0]
     assert band.black_level.tolist() == [3.0, 0.0, 0.0, 0.0]
-    after = linear_stack(band, "linear")
+    after = observe(capture).white.grey
     np.testing.assert_allclose(after[0], (before[0] - 3 / 255) / 2, atol=1e-6)
     np.testing.assert_allclose(after[1], before[1] / 2, atol=1e-6)
     np.testing.assert_allclose(after[2:], before[2:])
@@ -161,7 +159,7 @@ def test_the_ambient_image_has_its_own_or_the_common_exposure(exposures, ambient
         with pytest.raises(BadInput, match=expected):
             read_capture(folder)
     else:
-        assert read_capture(folder).bands["white"].ambient_exposure == expected
+        assert read_capture(folder).bands["white"].ambient.exposure == expected
 
 
 def test_a_mask_of_any_image_type_is_read(folder):
@@ -368,7 +366,7 @@ def test_a_capture_that_could_not_be_read_back_is_not_written(tmp_path, build_ca
     refused("have the shape", bands={"white": replace(white, pixels=white.pixels[:, 1:])})
     refused("have the shape", bands={"white": replace(white, pixels=white.pixels[:2])})
     refused("but 3 LEDs", bands={"white": replace(white, leds=white.leds[:3])})
-    refused("ambient", bands={"white": replace(white, ambient=white.pixels[0, 1:])})
+    refused("ambient", bands={"white": replace(white, ambient=Ambient(white.pixels[0, 1:]))})
     refused("mask", mask=np.ones((3, 3), bool))
     refused("group of LEDs", rig=capture.rig.select([[0, 1], [2]]))
     refused("does not exist", truth=tmp_path / "no.npz")

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from io_shared import Build
+from splitknit.capture import Ambient, Band
 from splitknit.errors import BadInput
 from splitknit.io import content
 from splitknit.io.content import check_content
-from splitknit.model import Band
 
 
 def changed(band: Band, k: int, pixels: Any, **changes: Any) -> Band:
@@ -49,7 +49,7 @@ def test_black_images_are_judged_above_black_level_and_ambient_light(band):
         check_content(changed(band, 3, grey + noise, black_level=np.array([0.0, 0, 0, grey])))
     raised = (band.pixels // 2 + grey).astype(band.pixels.dtype)
     lit = replace(
-        band, pixels=raised, ambient=np.full_like(band.pixels[0], grey // 2), ambient_exposure=0.5
+        band, pixels=raised, ambient=Ambient(np.full_like(band.pixels[0], grey // 2), 0.5)
     )
     check_content(lit)
     with pytest.raises(BadInput, match=r"white_3\.png is black: .* above the ambient image"):

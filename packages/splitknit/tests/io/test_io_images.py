@@ -17,6 +17,7 @@ import tifffile
 from png_files import PNG, chunk
 from splitknit.errors import BadInput
 from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_image
+from written_files import read_by_all
 
 
 def png(header: tuple[int, ...], lines: bytes, *extra: bytes) -> bytes:
@@ -37,37 +38,9 @@ def tiff(image: np.ndarray, **options: Any) -> bytes:
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("shape", [(31, 43), (31, 43, 3), (31, 43, 4), (1, 1), (1, 5, 3)])
-def test_pixels_of_png_come_as_stored_in_rgb_order(shape, dtype):
-    image = smooth(shape, dtype)
-    data = cv2.imencode(".png", image)[1].tobytes()
-    expected = image[..., None] if image.ndim == 2 else image[..., 2::-1]
-    np.testing.assert_array_equal(decode_image(data, "x"), expected)
-
-
-@pytest.mark.parametrize("depth", [8, 16])
-def test_alpha_beside_grey_is_dropped(depth):
-    values = np.random.default_rng(0).integers(0, 1 << depth, (4, 3, 2)).astype(f">u{depth // 8}")
-    data = png((3, 4, depth, 4, 0, 0, 0), b"".join(b"\0" + row.tobytes() for row in values))
-    np.testing.assert_array_equal(decode_image(data, "x"), values[..., :1])
-
-
-@pytest.mark.parametrize("depth", [1, 2, 4, 8])
-def test_palettes_are_expanded_and_low_bit_depths_stretched(depth):
-    count = 2**depth
-    index = np.arange(count).reshape(1, -1).repeat(2, axis=0)
-    bits = ["".join(format(value, f"0{depth}b") for value in row) for row in index]
-    rows = [row + "0" * (-len(row) % 8) for row in bits]
-    packed = b"".join(b"\0" + int(row, 2).to_bytes(len(row) // 8, "big") for row in rows)
-    palette = np.random.default_rng(0).integers(0, 256, (count, 3), dtype=np.uint8)
-    header = (count, 2, depth, 3, 0, 0, 0)
-    data = png(header, packed, chunk(b"PLTE", palette.tobytes()), chunk(b"tRNS", bytes(count)))
-    np.testing.assert_array_equal(decode_image(data, "x"), palette[index])
-    grey = decode_image(png((count, 2, depth, 0, 0, 0, 0), packed), "x")
-    np.testing.assert_array_equal(grey[..., 0], index * (255 // (count - 1)))
+def test_a_picture_without_its_palette_is_refused():
     with pytest.raises(BadInput, match="damaged"):
-        decode_image(png(header, packed), "x")
+        decode_image(png((3, 4, 8, 3, 0, 0, 0), b"\0\1\2\3" * 4), "x")
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -139,6 +112,8 @@ def test_written_files_keep_their_pixels_and_bytes(tmp_path):
         write_image(path, image)
         assert image_size(path) == (12, 17)
         np.testing.assert_array_equal(read_image(path), image)
+        if suffix != "png":
+            np.testing.assert_array_equal(read_by_all(path), image)
         first = path.read_bytes()
         write_image(path, image)
         assert path.read_bytes() == first
@@ -298,6 +273,38 @@ def set_tag(data: bytes, tag: int, entry: bytes) -> bytes:
     with tifffile.TiffFile(io.BytesIO(data)) as file:
         place = file.pages[0].tags[tag].offset
     return data[: place + 2] + entry + data[place + 12 :]
+
+
+def jpeg(*segments: bytes) -> bytes:
+    data = cv2.imencode(".jpg", smooth((20, 30)))[1].tobytes()
+    return b"".join((data[:2], *segments, data[2:]))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        png((3, 4, 8, 0, 0, 0, 0), b"\0\1\2\3" * 4, chunk(b"tEXt", b"k\0v") * 2000),
+        png((3, 4, 8, 0, 0, 0, 0), b"\0\1\2\3" * 4, chunk(b"prIv", b"") * 2000),
+        png((3, 4, 8, 0, 0, 0, 0), b"\0\1\2\3" * 4)[:-12] + chunk(b"tEXt", b"k\0v") * 2000,
+        png((3, 4, 8, 0, 0, 0, 0), b"\0\1\2\3" * 4)[:-12] + chunk(b"IDAT", b"") * 200_000,
+        jpeg(b"\xff\xfe\0\2" * 2000),
+        jpeg(b"\xff" * 2000),
+        tiff(np.zeros((200_000, 1), np.uint8), rowsperstrip=1),
+        tiff(np.zeros((200_000, 1), np.uint8), rowsperstrip=1, bigtiff=True, byteorder=">"),
+        tiff(smooth((20, 30)), extratags=[(40_000 + k, 3, 1, 1, True) for k in range(2000)]),
+    ],
+)
+def test_files_of_countless_parts_are_refused(data):
+    assert peak_bytes_of_refusal(data, "x has more chunks, segments, tags") < 100_000
+
+
+def test_files_of_many_parts_are_read():
+    text, empty = chunk(b"tEXt", b"k\0v") * 900, chunk(b"IDAT", b"") * 50_000
+    lines = b"\0\1\2\3" * 4
+    assert decode_image(png((3, 4, 8, 0, 0, 0, 0), lines, text, empty), "x").shape == (4, 3, 1)
+    assert decode_image(jpeg(b"\xff\xfe\0\2" * 900), "x").shape == (20, 30, 1)
+    strips = tiff(np.zeros((50_000, 1), np.uint8), rowsperstrip=1)
+    assert decode_image(strips, "x").shape == (50_000, 1, 1)
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,14 @@ import splitknit
 from splitknit.errors import BadInput
 from splitknit.io.images import write_float_tiff
 from splitknit.io.mesh import triangulate, write_ply
-from splitknit.io.prints import read_print_png, write_print_png
+from splitknit.io.prints import (
+    decode_print_image,
+    encode_print_tiff,
+    read_print_png,
+    write_print_png,
+)
 from splitknit.io.provenance import canonical_json, provenance, settings_hash
-from written_files import read_height_tiff, read_ply
+from written_files import read_by_all, read_height_tiff, read_ply
 
 
 def hill(shape: tuple[int, int] = (13, 17)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -76,13 +81,16 @@ def test_a_ply_file_keeps_vertices_normals_and_faces(tmp_path):
 def test_a_height_tiff_keeps_heights_pitch_and_provenance(tmp_path):
     height = hill()[2]
     height[:3] = np.nan
-    path, facts = tmp_path / "h.tiff", provenance({"sigma": 1.5}, {"white_0.png": "ab"})
+    path = tmp_path / "h.tiff"
+    # tifffile would take the settings of the shape for its own description of an array
+    facts = provenance({"shape": {"sigma": 1.5}}, {"white_0.png": "ab"})
     write_float_tiff(path, height, "mm", facts, 1 / 75.7)
     read, pitch_mm, metadata = read_height_tiff(path)
     np.testing.assert_array_equal(read, height)
     assert pitch_mm == 1 / 75.7
     assert metadata["unit"] == "mm" and metadata["version"] == splitknit.__version__
     assert metadata["inputs"] == {"white_0.png": "ab"}
+    assert metadata["settings"] == {"shape": {"sigma": 1.5}}
     with tifffile.TiffFile(path) as file:
         tags = file.pages[0].tags
         numerator, denominator = tags["XResolution"].value
@@ -101,6 +109,15 @@ def test_a_height_tiff_keeps_heights_pitch_and_provenance(tmp_path):
 def test_a_height_tiff_without_pitch_or_of_three_axes_is_refused(shape, pitch_mm, words, tmp_path):
     with pytest.raises(BadInput, match=words):
         write_float_tiff(tmp_path / "h.tiff", np.zeros(shape), "mm", pitch_mm=pitch_mm)
+
+
+def test_a_print_as_tiff_is_read_by_all_whatever_its_texts_are_called(tmp_path):
+    image = np.random.default_rng(0).integers(0, 256, (30, 20)).astype(np.uint8)
+    text = {"shape": "oval", 'a"shape': '{"shape":[1]}'}
+    path = tmp_path / "print.tiff"
+    path.write_bytes(encode_print_tiff(image, 500, text))
+    np.testing.assert_array_equal(read_by_all(path), image)
+    assert decode_print_image(path.read_bytes(), "x").text == text
 
 
 def test_a_print_keeps_its_resolution_and_texts(tmp_path):

@@ -13,11 +13,13 @@ from PIL import Image
 
 from io_shared import import_photographs
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_stack
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.images import decode_pixels
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import Photographs
+from splitknit.io.prints import decode_print_image
+from splitknit.observation.observe import observe
+from splitknit.observation.plain import Photographs
 from splitknit.photometric.lambertian import lambertian
 
 DIRECTIONS = np.array(
@@ -178,6 +180,54 @@ def test_a_folder_becomes_a_capture(folder):
     )
 
 
+def never(*_: Any) -> Any:
+    raise AssertionError("it was decoded")
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "jpg", "webp", "bmp", "heic"])
+def test_a_size_is_refused_before_memory_is_taken(suffix, tmp_path, monkeypatch):
+    file = tmp_path / f"x.{suffix}"
+    image, exif = Image.fromarray(picture()), Image.Exif()
+    exif[274] = 6
+    if suffix == "heic":
+        heif = pytest.importorskip("pillow_heif", reason="of the extra photos")
+        heif.from_pillow(image).save(file)
+    else:
+        image.save(file, exif=exif)
+        monkeypatch.setattr("splitknit.io.photos.decode_pixels", never)
+
+    def check(rows: int, columns: int) -> None:
+        raise BadInput(f"{rows} x {columns}")
+
+    turned = suffix not in ("heic", "bmp")  # BMP has no EXIF
+    with pytest.raises(BadInput, match="60 x 40" if turned else "40 x 60"):
+        read_photo(file, check)
+
+
+@pytest.mark.parametrize("which", ["p9.png", "mask.png", "dark.png"])
+def test_a_picture_of_another_size_than_the_first_is_not_decoded(which, folder, monkeypatch):
+    decoded = []
+
+    def decode(data, header, name):
+        decoded.append((header.rows, header.columns))
+        return decode_pixels(data, header, name)
+
+    monkeypatch.setattr("splitknit.io.photos.decode_pixels", decode)
+    Image.fromarray(picture(41)).save(folder / which)
+    dark = folder / which if which == "dark.png" else None
+    with pytest.raises(BadInput, match=f"{which} has 41 x 60 pixels"):
+        import_photographs(folder, background=dark)
+    assert set(decoded) == {(60, 60)}
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "jpg", "bmp"])
+def test_a_print_of_too_many_pixels_is_not_decoded(suffix, monkeypatch):
+    monkeypatch.setattr("splitknit.io.photos.decode_pixels", never)
+    data = cv2.imencode(f".{suffix}", np.zeros((8100, 8000), np.uint8))[1].tobytes()
+    with pytest.raises(BadInput, match="x has 8100 x 8000 pixels, more than the 64000000"):
+        decode_print_image(data, "x")
+
+
 def test_an_unknown_scale_survives_a_capture_folder(folder):
     capture = import_photographs(folder).capture
     write_capture(capture, folder / "capture")
@@ -252,7 +302,7 @@ def test_floats_are_brought_to_one_scale(folder):
         )
         file.unlink()
     imported = import_photographs(folder, background=3.0)
-    light = linear_stack(imported.capture.bands["white"], "linear")
+    light = observe(imported.capture).white.grey
     expected = np.stack([ball(direction) for direction in DIRECTIONS]).astype(float)
     factor = light.max() / expected.max()
     np.testing.assert_allclose(light, expected * factor, atol=2e-5)

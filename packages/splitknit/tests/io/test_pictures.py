@@ -35,6 +35,14 @@ def test_the_finger_tip_is_at_the_top_of_the_frame():
     assert width[rows[0] + 3] < 0.6 * width[rows[-1] - 3]
 
 
+def test_a_field_that_counts_nowhere_has_no_weight():
+    """Such as the ridge band of a finger that is too steep everywhere."""
+    result, _ = finger()
+    frame = upright_frame(result, 200)
+    values, weight = to_frame(result.ridge_mm, np.zeros_like(result.mask), frame)
+    assert not values.any() and not weight.any()
+
+
 def test_colours_are_ordered_in_brightness():
     values = np.linspace(-1, 1, 64, dtype=np.float32)[None]
     grey = cv2.cvtColor(colour(values, -1, 1), cv2.COLOR_RGB2GRAY)[0].astype(int)

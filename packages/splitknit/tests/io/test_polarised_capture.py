@@ -12,13 +12,13 @@ import pytest
 
 from io_shared import Build
 from small_capture import edit
+from splitknit.capture import Ambient, Capture
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_stack, saturation_levels
-from splitknit.imaging.coloured import LightsSettings, as_lit
-from splitknit.imaging.polarised import without_films
 from splitknit.io.capture import read_capture, with_rig, write_capture
 from splitknit.io.rig import write_rig
-from splitknit.model import Capture, Led
+from splitknit.model import Led
+from splitknit.observation.coloured import LightsSettings, as_lit
+from splitknit.observation.observe import observe
 
 
 @pytest.fixture
@@ -149,14 +149,14 @@ def test_without_films_the_light_is_the_mean_of_both_series_under_both_leds(pola
     crossed = replace(
         capture.bands["white_crossed"],
         exposure=np.full(4, 2.0),
-        ambient=np.full((40, 30, 3), 4, np.uint8),
+        ambient=Ambient(np.full((40, 30, 3), 4, np.uint8)),
     )
-    both = without_films(replace(capture, bands={**capture.bands, "white_crossed": crossed}))
-    white = both.bands["white"]
+    both = observe(replace(capture, bands={**capture.bands, "white_crossed": crossed}))
+    white = both.without_films().white
     assert white.lights == ((0, 8), (1, 9), (2, 10), (3, 11))
-    assert linear_stack(white, "linear").shape == (4, 40, 30)
-    parallel, dark = (linear_stack(band, "linear") for band in (capture.bands["white"], crossed))
-    np.testing.assert_allclose(linear_stack(white, "linear"), 0.5 * (parallel + dark), atol=1e-6)
+    assert white.grey.shape == (4, 40, 30)
+    parallel, dark = both.white.grey, both.bands["white_crossed"].grey
+    np.testing.assert_allclose(white.grey, 0.5 * (parallel + dark), atol=1e-6)
 
 
 @pytest.mark.parametrize("ambient", [0, 20])
@@ -165,12 +165,11 @@ def test_a_pixel_that_clips_in_either_series_clips_in_the_mean(polarised, clips,
     pixels = polarised.bands[clips].pixels.copy()
     pixels[1, 20, 15, :2] = 255
     pixels[2, 20, 15, :1] = 255  # of one channel: the others carry the shading
-    room = np.full(pixels.shape[1:], ambient, np.uint8)
-    band = replace(polarised.bands[clips], pixels=pixels, ambient=room if ambient else None)
-    white = without_films(replace(polarised, bands={**polarised.bands, clips: band})).bands["white"]
-    clipped = (
-        linear_stack(white, "linear") >= saturation_levels(white, "linear")[:, None, None] - 1e-6
-    )
+    room = Ambient(np.full(pixels.shape[1:], ambient, np.uint8)) if ambient else None
+    band = replace(polarised.bands[clips], pixels=pixels, ambient=room)
+    both = observe(replace(polarised, bands={**polarised.bands, clips: band}))
+    white = both.without_films().white
+    clipped = white.grey >= white.clips_at[:, None, None] - 1e-6
     assert np.argwhere(clipped).tolist() == [[1, 20, 15]]
 
 

@@ -8,19 +8,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dome_photographs import dome
+from dome_photographs import dome, stored_as, under, with_nir
 from skin_scene import ring
 from splitknit import steps
 from splitknit.errors import BadInput
 from splitknit.methods import metric
-from splitknit.methods.parameters import (
+from splitknit.methods.metric import (
     COLOUR_MM,
     DOUBTFUL,
     FAINT,
     JPEG_COARSE,
     JPEG_LOSS,
     JPEG_LOSS_COARSE,
-    MAX_SLOPE,
+    LITTLE_GLOSS,
     RED_PART,
     RELIEF_ROUNDS,
     SHAPE_MM,
@@ -31,13 +31,14 @@ from splitknit.methods.parameters import (
     WHITE_ROUGHNESS,
     WHITE_SCATTERED,
 )
+from splitknit.methods.photometry import MAX_SLOPE
 from splitknit.model import Rig
 from splitknit.photometric.near_light import near_light
 from splitknit.presets import PRESETS
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import SkinImages
 from splitknit.skin.learned import Networks
-from splitknit.skin.parameters import KNIT_MM, LITTLE_GLOSS
+from splitknit.skin.relief import KNIT_MM
 
 METRIC = PRESETS["metric"]
 SIDE = 60
@@ -127,15 +128,15 @@ def parameters():
 
 class TestOpaque:
     def bands(self):
-        white, _ = dome("metric").white_and_nir(0.0)
-        pixels = np.roll(white.band.pixels, 2, axis=0)
-        return white, replace(white, band=replace(white.band, name="nir", pixels=pixels))
+        white, _ = dome("metric").white_and_nir(METRIC, 0.0)
+        pixels = np.roll(white.light.stored.pixels, 2, axis=0)
+        return white, stored_as(white, name="nir", pixels=pixels)
 
     def test_white_alone_gives_the_whole_height(self, parameters):
         white, _ = self.bands()
         surface = metric.metric_opaque(white, white, parameters)
         inside = white.inside
-        slopes, albedo, normals = metric.near_slopes(
+        slopes, albedo, normals, _ = metric.near_slopes(
             white, parameters.photometry.normals, parameters.height
         )
         height = metric.integrated(slopes, white, parameters.height)
@@ -174,9 +175,7 @@ class TestOpaque:
         assert surface.uncertainty_um is None
 
     def test_a_near_infrared_band_is_named_for_its_shape(self):
-        photographs = dome("metric")
-        white, nir = self.bands()
-        both = replace(photographs, bands=(white.band, nir.band))
+        both = with_nir(dome("metric"), 2)
         assert metric.opaque_surface(both, METRIC).facts["shape_source"] == "nir"
 
     def test_estimated_lights_are_stated_with_what_they_leave_open(self, monkeypatch):
@@ -187,7 +186,7 @@ class TestOpaque:
         )
         photographs = dome("metric")
         surface = metric.opaque_surface(photographs, METRIC)
-        lights = photographs.white_and_nir(0.0)[0].rig.light_vectors()
+        lights = photographs.white_and_nir(METRIC, 0.0)[0].rig.light_vectors()
         assert surface.facts["lights"] == "estimated"
         assert surface.facts["bas_relief"] == 0.25
         assert surface.facts["light_directions"] == np.round(lights, 3).tolist()
@@ -199,7 +198,7 @@ class TestOpaque:
 
 class TestNearSlopes:
     def test_distant_lights_need_one_round(self, monkeypatch):
-        white, _ = dome("metric").white_and_nir(0.0)
+        white, _ = dome("metric").white_and_nir(METRIC, 0.0)
         rounds = []
         monkeypatch.setattr(metric, "integrated", lambda *_: rounds.append(1))
         p = METRIC.parameters(False, "opaque")
@@ -207,22 +206,21 @@ class TestNearSlopes:
         assert rounds == []
 
     def test_near_lights_fall_on_the_surface_of_the_round_before(self, monkeypatch):
-        white, _ = dome("metric").white_and_nir(2.0)
+        white, _ = dome("metric").white_and_nir(METRIC, 2.0)
         leds = tuple(
             replace(
                 led,
                 direction=None,
                 position_mm=tuple(120 * np.array(led.direction, dtype=float)),
             )
-            for led in white.capture.rig.leds
+            for led in white.light.built.leds
         )
-        rig = replace(white.capture.rig, leds=leds)
-        near = replace(white, capture=replace(white.capture, rig=rig))
+        near = under(white, leds=leds)
         surfaces = []
 
-        def seen(images, rig, surface, inside, view):
+        def seen(images, rig, surface, inside, **options):
             surfaces.append(surface.copy())
-            return near_light(images, rig, surface, inside, view=view)
+            return near_light(images, rig, surface, inside, **options)
 
         monkeypatch.setattr(metric, "_near_normals", seen)
         p = METRIC.parameters(False, "opaque")
@@ -243,7 +241,7 @@ class TestNearSlopes:
         assert [float(surface.mean()) for surface in surfaces] == [2.0, 2.5, 2.5]
 
     def test_other_normals_are_those_of_distant_lights(self, monkeypatch):
-        white, _ = dome("metric").white_and_nir(0.0)
+        white, _ = dome("metric").white_and_nir(METRIC, 0.0)
         p = METRIC.parameters(False, "opaque")
         dropped = []
         by_rows = metric.by_rows
@@ -255,7 +253,7 @@ class TestNearSlopes:
         monkeypatch.setattr(metric, "by_rows", watched)
         for method in ("robust", "lambertian"):
             settings = replace(p.photometry.normals, method=method)
-            slopes, _, normals = metric.near_slopes(white, settings, p.height)
+            slopes, _, normals, _ = metric.near_slopes(white, settings, p.height)
             np.testing.assert_array_equal(slopes[0], metric.slopes_of(normals, white)[0])
         assert dropped == [True, False]
 
@@ -409,18 +407,6 @@ class TestSpecularHeights:
         monkeypatch.setattr(metric, "polarised_heights", lambda *fit: setattr(calls, "fit", fit))
         return calls
 
-    def test_the_front_lights_alone(self, fitted):
-        images, start = skin_images(), skin_surface()
-        metric._specular_heights(images, ("matt", None), start, films=True)
-        ((white, matt, rig, shape_mm),) = fitted.images
-        assert (white, matt, rig) == (images.bands[0], "matt", images.parallel)
-        assert shape_mm is start.shape_mm
-        specular, grid, height, deviation, films = fitted.fit
-        assert (grid, films) == (images.grid, True)
-        assert deviation is start.deviation_mm
-        np.testing.assert_allclose(height, start.shape_mm + start.relief_mm)
-        assert len(specular.stack) == 7
-
     def test_side_lights_are_added_with_the_smaller_noise(self, fitted):
         side = (white_band(4), None, replace(ring("white"), leds=ring("white").leds[:3]))
         images = skin_images(side=side)
@@ -540,15 +526,6 @@ class TestOnPixels:
         assert surface.facts["heights"] == heights
         assert surface.facts["shape_source"] == "nir"
 
-    def test_heights_sum_and_uncertainty_is_in_micrometres(self, chosen):
-        first = skin_surface()
-        surface = metric._on_pixels(skin_images(), METRIC, 0.0)
-        np.testing.assert_allclose(surface.height_mm, first.shape_mm + first.relief_mm)
-        np.testing.assert_array_equal(surface.ridge_mm, first.relief_mm)
-        np.testing.assert_array_equal(surface.shape_mm, first.shape_mm)
-        np.testing.assert_array_equal(surface.albedo, first.albedo)
-        np.testing.assert_allclose(surface.uncertainty_um, 1000 * first.deviation_mm, rtol=1e-6)
-
     def test_the_gain_is_part_of_the_uncertainty_of_modelled_ridges(self, monkeypatch):
         known = {"relief_rms_um": 20.0, "relief_error_um": 2.0, "gloss": 1.0}
         facts = {"relief_by": "network", "gain_uncertainty": 0.5, **known}
@@ -566,11 +543,6 @@ class TestOnPixels:
         surface = metric._on_pixels(skin_images(), METRIC, 0.3)
         expected = 1000 * np.hypot(first.deviation_mm, 0.3 * first.relief_mm)
         np.testing.assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
-
-    def test_one_band_gives_its_own_shape(self, chosen):
-        images = skin_images()
-        one_band = replace(images, bands=images.bands[:1])
-        assert metric._on_pixels(one_band, METRIC, 0.0).facts["shape_source"] == "white"
 
     def test_each_run_of_the_relief_network_is_reported(self, monkeypatch):
         reported = []
@@ -591,7 +563,7 @@ class TestSkin:
             losses.append(jpeg_loss)
             return metric.FingerSurface(*(field(1),) * 4, findings=(metric.side_unused(9),))
 
-        monkeypatch.setattr(metric, "_working_images", lambda photographs, p: skin_images())
+        monkeypatch.setattr(metric, "working_images", lambda *_: skin_images())
         monkeypatch.setattr(metric, "_on_pixels", on_pixels)
         return losses
 
@@ -602,9 +574,12 @@ class TestSkin:
 
     def test_coloured_leds_are_refused(self):
         photographs = self.photographs()
-        band = replace(photographs.bands[0], colours=(("red",),) * 8)
+        rig = photographs.observation.rig
+        red = replace(rig, leds=tuple(replace(led, colour="red") for led in rig.leds))
+        white = replace(photographs.observation.white, built=red)
+        lit = photographs.observation.with_light(white)
         with pytest.raises(BadInput, match="each coloured LED differently"):
-            metric.skin_surface(replace(photographs, bands=(band,)), METRIC)
+            metric.skin_surface(replace(photographs, observation=lit), METRIC)
 
     @pytest.mark.parametrize(
         ("px_per_mm", "facts", "loss"),
@@ -619,16 +594,11 @@ class TestSkin:
         metric.skin_surface(self.photographs(px_per_mm, **facts), METRIC)
         assert steps_taken == [loss]
 
-    def test_the_images_are_released(self, steps_taken):
-        photographs = self.photographs()
-        metric.skin_surface(photographs, METRIC)
-        assert photographs.bands == ()
-
     def test_unused_side_lights_stand_first(self, steps_taken):
         photographs = self.photographs()
-        band = photographs.bands[0]
-        lit = replace(band, side=replace(band, leds=band.leds[:3]))
-        surface = metric.skin_surface(replace(photographs, bands=(lit,)), METRIC)
+        observation = photographs.observation
+        lit = replace(observation, side=observation.white.of_images([0, 1, 2]))
+        surface = metric.skin_surface(replace(photographs, observation=lit), METRIC)
         assert [str(finding)[:20] for finding in surface.findings] == [
             "the 3 white images l",
             "the 9 white images l",

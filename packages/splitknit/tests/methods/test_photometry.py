@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dome_photographs import COLOUR, PX_PER_MM, dome, from_40_mm
-from splitknit import steps
+from dome_photographs import COLOUR, PX_PER_MM, dome, from_40_mm, stored_as, under
+from splitknit.capture import Ambient
 from splitknit.errors import BadInput
-from splitknit.imaging.band import GREY_WEIGHTS, grey_as_grey, linear_stack
+from splitknit.imaging.pixels import GREY_WEIGHTS
 from splitknit.imaging.view import view_of
 from splitknit.methods import photometry
-from splitknit.methods.parameters import CLIPPED, MAX_SLOPE
+from splitknit.methods.photometry import MAX_SLOPE
+from splitknit.observation.light import FULL_SCALE
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.presets import PRESETS, HeightSettings, NormalsSettings
@@ -23,7 +23,7 @@ SHAPELETS = PRESETS["ea"].shapelets
 
 
 def white_of(photographs):
-    return photographs.white_and_nir(0.0)[0]
+    return photographs.white_and_nir(PRESETS["ea"], 0.0)[0]
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def colours():
 
 def images_seen(white, **options):
     """What `by_rows` gives the method, put together again."""
-    seen = np.full((len(white.band.lights), *white.inside.shape), np.nan, dtype=np.float32)
+    seen = np.full((len(white.light.lights), *white.inside.shape), np.nan, dtype=np.float32)
 
     def look(images, rows):
         seen[:, rows] = images
@@ -63,7 +63,7 @@ def spread(values, inside):
 class TestByRows:
     def test_all_rows_are_the_linear_images_of_the_window(self, white):
         seen, normals, albedo = images_seen(white)
-        images = linear_stack(white.band, white.capture.encoding, "grey", white.finger.window)
+        images = white.light.grey
         np.testing.assert_array_equal(seen, images)
         np.testing.assert_allclose(normals, np.broadcast_to((0.0, 0.6, 0.8), normals.shape))
         np.testing.assert_array_equal(albedo, images.mean(axis=0))
@@ -73,7 +73,7 @@ class TestByRows:
     def test_strips_give_the_same_as_all_rows(self, white, rows_each, monkeypatch):
         seen, normals, albedo = images_seen(white)
         width, strips = white.inside.shape[1], []
-        monkeypatch.setattr(photometry, "IN_MEMORY", 4 * 8 * width * rows_each)
+        monkeypatch.setattr(photometry, "LIGHT_BYTES", 4 * 8 * width * rows_each)
 
         def look(images, rows):
             strips.append(images.shape[1])
@@ -90,7 +90,7 @@ class TestByRows:
         top = white.finger.window[0].start
         inside[top : top + 5] = False
         partly = replace(white, finger=replace(white.finger, wider=inside))
-        monkeypatch.setattr(photometry, "IN_MEMORY", 1)
+        monkeypatch.setattr(photometry, "LIGHT_BYTES", 1)
         seen, normals, albedo = images_seen(partly)
         empty = ~inside[white.finger.window].any(axis=1)
         assert np.isfinite(seen[:, ~empty]).all()
@@ -103,27 +103,22 @@ class TestByRows:
         [("opaque", True, True), ("opaque", False, False), ("skin", True, False)],
     )
     def test_clipped_values_of_an_opaque_thing_become_zero(self, white, material, asked, dropped):
-        pixels = white.band.pixels.copy()
+        pixels = white.light.stored.pixels.copy()
         rows, columns = white.finger.window
         row, column = rows.start + 20, columns.start + 20
         full = np.iinfo(pixels.dtype).max
         pixels[3, row, column] = full
-        pixels[4, row, column] = int(CLIPPED * full)
-        pixels[5, row, column] = int(CLIPPED * full) - 1
-        changed = replace(
-            white,
-            band=replace(white.band, pixels=pixels),
-            capture=replace(white.capture, material=material),
-        )
+        pixels[4, row, column] = int(FULL_SCALE * full)
+        pixels[5, row, column] = int(FULL_SCALE * full) - 1
+        changed = replace(stored_as(white, pixels=pixels), material=material)
         seen, _, _ = images_seen(changed, without_clipped=asked)
         assert [bool(seen[light, 20, 20] == 0) for light in (3, 4, 5)] == [dropped, dropped, False]
 
     def test_clipped_values_beside_crossed_films_are_kept(self, white):
-        pixels = np.full_like(white.band.pixels, np.iinfo(white.band.pixels.dtype).max)
-        band = replace(white.band, pixels=pixels)
-        seen, _, _ = images_seen(
-            replace(white, band=replace(band, crossed=band)), without_clipped=True
-        )
+        pixels = white.light.stored.pixels
+        clipped = stored_as(white, pixels=np.full_like(pixels, np.iinfo(pixels.dtype).max))
+        behind = replace(clipped, light=replace(clipped.light, crossed=clipped.light))
+        seen, _, _ = images_seen(behind, without_clipped=True)
         assert (seen > 0).all()
 
 
@@ -145,14 +140,14 @@ class TestColourAlbedo:
         albedo = np.full(colours.inside.shape, 0.5, dtype=np.float32)
         whole = photometry.colour_albedo(colours, albedo)
         assert (whole[0].sum(axis=-1) > 0).any()
-        monkeypatch.setattr(photometry, "IN_MEMORY", 1)
+        monkeypatch.setattr(photometry, "LIGHT_BYTES", 1)
         np.testing.assert_array_equal(photometry.colour_albedo(colours, albedo), whole)
 
     def test_a_white_highlight_in_one_photograph_leaves_the_colour(self, colours):
-        pixels = colours.band.pixels.copy()
+        pixels = colours.light.stored.pixels.copy()
         rows, columns = colours.finger.window
         pixels[2, rows.start + 20, columns.start + 20] = 60000
-        shiny = replace(colours, band=replace(colours.band, pixels=pixels))
+        shiny = stored_as(colours, pixels=pixels)
         colour = photometry.colour_albedo(shiny, np.ones(colours.inside.shape, np.float32))
         ratio = colour[20, 20] / COLOUR
         np.testing.assert_allclose(ratio / ratio[0], 1.0, atol=0.05)
@@ -162,15 +157,15 @@ class TestColourAlbedo:
         assert (photometry.colour_albedo(colours, albedo) == 0).all()
 
     def test_no_channel_is_negative(self, colours):
-        ambient = np.full(colours.band.pixels.shape[1:], 9000, dtype=np.uint16)
-        dark = replace(colours, band=replace(colours.band, ambient=ambient))
+        ambient = np.full(colours.light.stored.pixels.shape[1:], 9000, dtype=np.uint16)
+        dark = stored_as(colours, ambient=Ambient(ambient))
         colour = photometry.colour_albedo(dark, np.ones(colours.inside.shape, np.float32))
         assert colour.min() >= 0
 
 
 @pytest.mark.parametrize(("method", "solve"), [("robust", robust), ("lambertian", lambertian)])
 def test_the_settings_choose_the_normals_of_distant_lights(white, method, solve):
-    images = linear_stack(white.band, white.capture.encoding, "grey", white.finger.window)
+    images = white.light.grey
     lights, inside = white.rig.light_vectors(), white.inside
     expected = solve(images, lights, inside)
     actual = photometry.distant_normals(images, lights, inside, NormalsSettings(method=method))
@@ -193,12 +188,10 @@ class TestSlopes:
 
     def test_a_pixels_own_ray_is_upright(self, white):
         """Under a perspective camera a normal along the ray has no slope."""
-        camera = from_40_mm(white.capture.rig.camera)
-        rig = replace(white.capture.rig, camera=camera)
-        under = replace(white, capture=replace(white.capture, rig=rig))
+        camera = from_40_mm(white.rig.camera)
         view = view_of(camera, *white.finger.window, along_rays=True)
         upright = np.broadcast_to(np.float32((0.0, 0.0, 1.0)), (*white.inside.shape, 3))
-        x, y = photometry.slopes_of(view.in_rig(upright), under)
+        x, y = photometry.slopes_of(view.in_rig(upright), under(white, camera=camera))
         assert np.abs(x).max() < 1e-5
         assert np.abs(y).max() < 1e-5
 
@@ -302,26 +295,3 @@ class TestRelief:
         at_finest, beyond = gain(np.array([finest, 2 * finest]))
         assert beyond == at_finest
         assert gain(np.array([0.02 * finest]))[0] < 0.5 * at_finest
-
-
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells its memory")
-def test_photographs_in_a_file_are_let_go(white, monkeypatch):
-    monkeypatch.setattr(steps, "IN_MEMORY", 1_000_000)
-    count = len(white.band.pixels)
-    stack = steps.large_array((count, 1000, 1000, 3), np.dtype(np.uint8))
-    stack[...] = 90
-    everywhere = np.ones((1000, 1000), dtype=bool)
-    window = (slice(0, 1000), slice(0, 1000))
-    finger = replace(white.finger, wider=everywhere, window=window)
-    seen = replace(white, band=replace(white.band, pixels=stack), finger=finger)
-
-    def mapped_mb():
-        status = Path("/proc/self/status").read_text(encoding="ascii")
-        return int(status.split("RssFile:")[1].split()[0]) / 1000
-
-    steps.let_go(stack)
-    before = mapped_mb()
-    assert grey_as_grey(seen.band).pixels.shape[-1] == 1
-    assert mapped_mb() < before + 0.2 * stack.nbytes / 1e6
-    images_seen(seen, without_clipped=True)
-    assert mapped_mb() < before + 0.2 * stack.nbytes / 1e6

@@ -7,11 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dome_photographs import COLOUR, PX_PER_MM, dome
+from dome_photographs import COLOUR, PX_PER_MM, dome, with_nir
 from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
 from splitknit.methods import photographs as module
-from splitknit.methods.photographs import FingerSurface, diagnosed, placed, prepared, side_unused
+from splitknit.methods.photographs import (
+    FingerSurface,
+    findings_for,
+    photographs_of,
+    placed,
+    side_unused,
+)
 from splitknit.methods.thesis import thesis_surface
 from splitknit.presets import PRESETS, override
 
@@ -21,18 +27,6 @@ EA, SNK, METRIC = PRESETS["ea"], PRESETS["snk"], PRESETS["metric"]
 @pytest.fixture(scope="module")
 def photographs():
     return dome()
-
-
-def with_nir(photographs):
-    """The same photographs, also as a near-infrared band."""
-    nir = replace(photographs.capture.bands["white"], name="nir")
-    leds = photographs.capture.rig.leds
-    rig = replace(
-        photographs.capture.rig, leds=(*leds, *(replace(led, band="nir") for led in leds))
-    )
-    own = tuple((len(leds) + light,) for light in range(len(leds)))
-    bands = {**photographs.capture.bands, "nir": replace(nir, leds=own)}
-    return replace(photographs.capture, bands=bands, rig=rig)
 
 
 class TestBands:
@@ -47,85 +41,60 @@ class TestBands:
     def test_the_near_infrared_band_is_taken_for_a_shape_of_its_own(
         self, photographs, settings, names
     ):
-        taken = prepared(with_nir(photographs), settings)
-        assert [band.name for band in taken.bands] == names
+        bands = with_nir(photographs).bands(settings)
+        assert [light.name for light in bands] == names
 
     def test_white_serves_for_both_where_there_is_no_other(self, photographs):
-        white, nir = photographs.white_and_nir(3.0)
+        white, nir = photographs.white_and_nir(METRIC, 3.0)
         assert white == nir
-        assert (white.plane_mm, white.band.name) == (3.0, "white")
-        taken = prepared(with_nir(photographs), METRIC)
-        assert [part.band.name for part in taken.white_and_nir(0.0)] == ["white", "nir"]
+        assert (white.plane_mm, white.light.name) == (3.0, "white")
+        both = with_nir(photographs).white_and_nir(METRIC, 0.0)
+        assert [part.light.name for part in both] == ["white", "nir"]
 
     def test_a_band_has_its_own_lights_and_the_cameras_scale(self, photographs):
-        taken = prepared(with_nir(photographs), METRIC)
-        _, nir = taken.white_and_nir(0.0)
+        taken = with_nir(photographs)
+        _, nir = taken.white_and_nir(METRIC, 0.0)
         assert {led.band for led in nir.rig.leds} == {"nir"}
         assert len(nir.rig.leds) == 8
         assert (nir.px_per_mm, nir.pitch_mm) == (PX_PER_MM, 1 / PX_PER_MM)
         np.testing.assert_array_equal(nir.inside, taken.finger.wider[taken.finger.window])
 
-    def test_findings_of_the_search_are_kept(self, photographs, monkeypatch):
-        finding = Finding("hollow", "a note.")
-        finger = replace(photographs.finger, findings=(finding,))
-        monkeypatch.setattr(module, "locate_finger", lambda capture, settings: (capture, finger))
-        assert prepared(photographs.capture, EA).findings == (finding,)
-
-    def test_flat_images_promise_the_light_of_their_rig(self, photographs, monkeypatch):
-        band = photographs.capture.bands["white"]
-        flat = replace(band, flat=np.ones_like(band.pixels))
-        capture = replace(with_nir(photographs), bands={"white": flat, "nir": band})
-        asked = []
-        monkeypatch.setattr(
-            module, "flat_promised", lambda rig, shape: asked.append((rig.leds, shape)) or "light"
-        )
-        lit = module._with_promised_light(capture)
-        assert lit.bands["white"].promised == "light"
-        assert lit.bands["nir"] is band
-        assert asked == [(capture.rig.select(band.lights).leds, band.pixels.shape)]
-        assert module._with_promised_light(photographs.capture) is photographs.capture
-
-    def test_released_photographs_hold_no_images(self):
-        photographs = dome()
-        photographs.release()
-        assert (photographs.bands, dict(photographs.capture.bands)) == ((), {})
+    def test_findings_of_the_search_and_the_diagnosis_are_kept(self, photographs, monkeypatch):
+        noted, doubted = Finding("hollow", "a note."), Finding("spoilt", "a doubt.", Severity.DOUBT)
+        finger = replace(photographs.finger, findings=(noted,))
+        observation = photographs.observation
+        monkeypatch.setattr(module, "locate_finger", lambda *_: (observation, finger))
+        monkeypatch.setattr(module, "diagnose", lambda *_, **__: (observation, finger, (doubted,)))
+        assert photographs_of(None, EA.finding()).findings == (doubted, noted)
 
 
-class TestDiagnosed:
-    @pytest.fixture
-    def diagnosis(self, monkeypatch):
-        """The findings that the diagnosis answers."""
-        findings = []
-        monkeypatch.setattr(
-            module, "diagnose", lambda capture, finger: (capture, finger, tuple(findings))
-        )
-        return findings
+class TestFindings:
+    def codes(self, photographs, settings, *findings):
+        found = replace(photographs, findings=findings)
+        return [finding.code for finding in findings_for(found, settings)]
 
-    def codes(self, photographs, settings):
-        return [finding.code for finding in diagnosed(photographs, settings).findings]
-
-    def test_estimated_lights_stand_before_all(self, photographs, diagnosis, monkeypatch):
+    def test_estimated_lights_stand_before_all(self, photographs, monkeypatch):
         monkeypatch.setattr(module, "bas_relief_of", lambda rig: 0.3)
         monkeypatch.setattr(module, "bas_relief_note", lambda unsure: f"a factor of {unsure}.")
-        diagnosis.append(Finding("hollow", "a note."))
-        assert self.codes(photographs, EA) == ["bas-relief", "hollow"]
+        findings = (Finding("hollow", "a note."),)
+        assert self.codes(photographs, EA, *findings) == ["bas-relief", "hollow"]
 
-    def test_the_worst_stands_first(self, photographs, diagnosis):
-        diagnosis += [
+    def test_the_worst_stands_first(self, photographs):
+        findings = (
             Finding("hollow", "a note."),
             Finding("spoilt", "a doubt.", Severity.DOUBT, band="white"),
-        ]
-        assert self.codes(photographs, EA) == ["spoilt", "hollow"]
+        )
+        assert self.codes(photographs, EA, *findings) == ["spoilt", "hollow"]
 
-    def test_what_is_wrong_with_an_unused_band_is_left_out(self, photographs, diagnosis):
-        diagnosis += [
+    def test_what_is_wrong_with_an_unused_band_is_left_out(self, photographs):
+        findings = (
             Finding("spoilt", "a doubt.", Severity.DOUBT, band="nir"),
             Finding("noted", "a note.", band="nir"),
             Finding("whitened", "a doubt.", Severity.DOUBT, band="white"),
-        ]
-        assert self.codes(photographs, EA) == ["whitened", "noted"]
-        both = prepared(with_nir(photographs), METRIC)
-        assert self.codes(both, METRIC) == ["spoilt", "whitened", "noted"]
+        )
+        assert self.codes(photographs, EA, *findings) == ["whitened", "noted"]
+        both = with_nir(photographs)
+        assert self.codes(both, METRIC, *findings) == ["spoilt", "whitened", "noted"]
 
     @pytest.mark.parametrize(
         ("settings", "material", "noted"),
@@ -137,17 +106,16 @@ class TestDiagnosed:
         ],
     )
     def test_skin_without_near_infrared_light_is_noted(
-        self, photographs, diagnosis, settings, material, noted
+        self, photographs, settings, material, noted
     ):
-        capture = replace(photographs.capture, material=material)
-        assert ("no-nir" in self.codes(replace(photographs, capture=capture), settings)) == noted
+        observation = replace(photographs.observation, material=material)
+        alone = replace(photographs, observation=observation)
+        assert ("no-nir" in self.codes(alone, settings)) == noted
 
-    def test_unused_side_lights_are_noted_by_the_thesis_cases_alone(self, photographs, diagnosis):
-        band = photographs.bands[0]
-        side = replace(band, leds=band.leds[:3])
-        lit = replace(band, side=side)
-        capture = replace(photographs.capture, bands={"white": lit})
-        from_side = replace(photographs, capture=capture, bands=(lit,))
+    def test_unused_side_lights_are_noted_by_the_thesis_cases_alone(self, photographs):
+        observation = photographs.observation
+        lit = replace(observation, side=observation.white.of_images([0, 1, 2]))
+        from_side = replace(photographs, observation=lit)
         assert "side-unused" in self.codes(from_side, EA)
         assert "side-unused" not in self.codes(from_side, METRIC)
 
@@ -219,8 +187,8 @@ class TestPlaced:
 
     def test_the_result_states_where_it_comes_from(self, photographs, surface):
         picture = np.ones(photographs.finger.mask.shape, dtype=np.float32)
-        capture = replace(photographs.capture, hashes={"a.png": "0" * 64})
-        result = placed(replace(photographs, specular=picture, capture=capture), surface, 0.0)
+        lit = replace(photographs.observation, hashes={"a.png": "0" * 64})
+        result = placed(replace(photographs, specular=picture, observation=lit), surface, 0.0)
         assert result.specular is picture
         assert result.whole == surface.whole
         assert (result.pitch_mm, result.scale_known) == (1 / PX_PER_MM, True)
@@ -245,9 +213,9 @@ class TestPlaced:
 
 
 class TestMirrorShape:
-    def test_a_surface_kept_whole_has_no_place_for_it(self, photographs):
+    def test_a_surface_kept_whole_has_no_place_for_it(self):
         with pytest.raises(BadInput, match="keeps the visible surface whole"):
-            module.mirror_views(photographs.capture, EA)
+            override(EA, {"shape.source": "mirror"})
 
     @pytest.mark.parametrize(("settings", "detailed"), [(METRIC, True), (SNK, False)])
     def test_the_relief_is_put_on_the_mirrors_shape(self, monkeypatch, settings, detailed):
@@ -271,10 +239,12 @@ class TestMirrorShape:
 
         monkeypatch.setattr("splitknit.mirrors.captured.mirror_shape_of", shape_of)
         seen = type("Seen", (), {"shape": type("Shape", (), {"findings": (Finding("a", "b."),)})})
-        mirrored = module.on_mirror_shape(photographs, surface, seen, settings)
+        monkeypatch.setattr("splitknit.mirrors.captured.seen_in_mirrors", lambda *_: seen)
+        cut, mirrored = module.on_mirror_shape(photographs, surface, settings)
         assert (mirrored.height_mm == 7.5).all()
         assert (mirrored.shape_mm == 7.0).all()
         assert mirrored.facts == {"shape_source": "mirror", "heights": "measured"}
         assert [finding.code for finding in mirrored.findings] == ["hollow", "a"]
-        assert photographs.finger.mask is smaller
+        assert cut.finger.mask is smaller
+        assert photographs.finger.mask is not smaller
         assert (details[0] is not None) == detailed

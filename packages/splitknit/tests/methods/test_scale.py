@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from dome_photographs import dome
-from splitknit.diagnosis.parameters import USUAL_PERIOD_MM
 from splitknit.errors import BadInput
-from splitknit.io.plain import capture_of_arrays
 from splitknit.methods import scale
 from splitknit.methods.scale import with_scale, with_working_scale
+from splitknit.observation.plain import capture_of_arrays
+from splitknit.plausible import USUAL_RIDGE_PERIOD_MM
 
 PERIOD_PX = 9.0
 SIDE = 300
@@ -77,7 +77,7 @@ class TestStated:
 
     def test_a_second_scale_is_refused(self):
         with pytest.raises(BadInput, match=r"scale already: 10 px/mm"):
-            with_scale(dome().capture, 20.0)
+            with_scale(with_camera(ridged(), px_per_mm=10.0, scale_known=True), 20.0)
         with pytest.raises(BadInput, match="both give the scale"):
             with_scale(ridged(), 20.0, 0.5)
 
@@ -86,7 +86,9 @@ class TestWorking:
     def test_skin_of_unknown_scale_has_its_ridges_at_the_usual_distance(self):
         skin = replace(ridged(), material="skin")
         capture, notes = with_working_scale(skin)
-        assert camera_of(capture).px_per_mm == pytest.approx(PERIOD_PX / USUAL_PERIOD_MM, rel=0.03)
+        assert camera_of(capture).px_per_mm == pytest.approx(
+            PERIOD_PX / USUAL_RIDGE_PERIOD_MM, rel=0.03
+        )
         assert not camera_of(capture).scale_known
         assert notes == ()
 
@@ -133,7 +135,7 @@ class TestWorking:
 def test_plain_normals_look_for_no_finger(monkeypatch):
     asked = []
     monkeypatch.setattr(
-        scale, "prepared", lambda capture, settings: asked.append(capture.material) or dome()
+        scale, "photographs_of", lambda capture, settings: asked.append(capture.material) or dome()
     )
     normals, mask = scale._plain_normals(replace(ridged(), material="skin"))
     assert asked == ["opaque"]

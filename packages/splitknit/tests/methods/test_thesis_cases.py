@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dome_photographs import COLOUR, PX_PER_MM, dome
+from dome_photographs import COLOUR, PX_PER_MM, dome, stored_as, under, with_nir
+from splitknit.capture import Ambient
 from splitknit.imaging.geometry import smoothed
 from splitknit.integration.knit import crossover
 from splitknit.methods import thesis
@@ -26,9 +27,9 @@ PARAMETERS = EA.parameters(False, "opaque")
 
 def both_of(photographs):
     """The white band, and a near-infrared one that is twice as bright and shows another surface."""
-    white = photographs.white_and_nir(0.0)[0]
-    pixels = np.roll(white.band.pixels, 2, axis=0) // 2
-    return white, replace(white, band=replace(white.band, name="nir", pixels=pixels))
+    white = photographs.white_and_nir(EA, 0.0)[0]
+    pixels = np.roll(white.light.stored.pixels, 2, axis=0) // 2
+    return white, stored_as(white, name="nir", pixels=pixels)
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +104,7 @@ class TestThesisSurface:
         photographs = dome()
         settings = override(EA, {"knit.method": method})
         surface = thesis.thesis_surface(photographs, settings)
-        white, nir = photographs.white_and_nir(0.0)
+        white, nir = photographs.white_and_nir(settings, 0.0)
         expected = getattr(thesis, case)(white, nir, settings.parameters(False, "opaque"))
         np.testing.assert_array_equal(surface.height_mm, expected.height_mm)
         assert surface.whole == expected.whole
@@ -115,8 +116,10 @@ class TestThesisSurface:
             "separation": "none",
             "heights": "measured",
         }
-        both = replace(photographs, bands=(bands[0].band, bands[1].band))
-        assert thesis.thesis_surface(both, EA).facts["shape_source"] == "nir"
+        assert (
+            thesis.thesis_surface(with_nir(photographs), PRESETS["snk"]).facts["shape_source"]
+            == "nir"
+        )
 
     def test_its_facts_name_the_separation_of_its_material(self, monkeypatch):
         monkeypatch.setattr(thesis, "_direct_images", lambda images, *_: images)
@@ -128,7 +131,7 @@ class TestThesisSurface:
 
     def test_a_finished_surface_is_smoothed_in_mm(self):
         photographs = dome()
-        white = photographs.white_and_nir(0.0)[0]
+        white = photographs.white_and_nir(EA, 0.0)[0]
         plain = thesis.thesis_surface(photographs, EA)
         soft = thesis.thesis_surface(photographs, override(EA, {"smooth.sigma_mm": 0.3}))
         for name in ("height_mm", "ridge_mm"):
@@ -196,9 +199,8 @@ class TestPreparedLight:
     def test_colours_are_balanced_on_the_kept_skin(self, bands, steps):
         white = bands[0]
         thesis.visible_normals(white, self.photometry(balance=True))
-        rig, band, mask = steps[0][1]
-        assert rig is white.capture.rig
-        assert band is white.band
+        rig, mask = steps[0][1]
+        assert rig.leds == white.rig.leds
         np.testing.assert_array_equal(mask, white.finger.mask[white.finger.window])
 
     def test_direct_light_is_of_the_band_and_its_settings(self, bands, steps):
@@ -216,19 +218,16 @@ class TestPreparedLight:
 
     def test_grey_images_are_not_negative(self, bands):
         white = bands[0]
-        ambient = np.full(white.band.pixels.shape[1:], 8000, dtype=np.uint16)
-        dark = replace(white, band=replace(white.band, ambient=ambient))
+        ambient = np.full(white.light.stored.pixels.shape[1:], 8000, dtype=np.uint16)
+        dark = stored_as(white, ambient=Ambient(ambient))
         images = thesis._grey_images(dark)
         assert images.min() == 0
         assert 0 < images.max() < 1
 
     def test_lights_beside_equalised_images_have_one_length(self, bands):
         white = bands[0]
-        led = white.capture.rig.leds[0]
-        leds = (replace(led, intensity=2.0), *white.capture.rig.leds[1:])
-        bright = replace(
-            white, capture=replace(white.capture, rig=replace(white.capture.rig, leds=leds))
-        )
+        first, *others = white.light.built.leds
+        bright = under(white, leds=(replace(first, intensity=2.0), *others))
         enhance = PARAMETERS.photometry.enhance
         plain = thesis._lights(bright, replace(enhance, clahe=False))
         equal = thesis._lights(bright, replace(enhance, clahe=True))
@@ -266,7 +265,7 @@ class TestDirectLight:
         assert network == direct.network
 
     def test_colours_help_where_there_are_some(self, asked):
-        white = dome(colour=COLOUR).white_and_nir(0.0)[0]
+        white = dome(colour=COLOUR).white_and_nir(EA, 0.0)[0]
         images = np.ones((8, *white.inside.shape), dtype=np.float32)
         thesis._direct_images(images, white, self.direct(from_colours=True))
         seen, colours, _ = asked["colours"]

@@ -9,10 +9,9 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.mirrors.body import Body, basis
-from splitknit.mirrors.fit import Fit
+from splitknit.mirrors.fit import MAX_SQUARE, Fit
 from splitknit.mirrors.mirror import MirrorShape
 from splitknit.mirrors.outline import finger_axis, medial_line, rows_of
-from splitknit.mirrors.parameters import MAX_SQUARE
 from splitknit.mirrors.reflection import Plane, Touching, touching
 from splitknit.model import Camera, Mirror
 

@@ -14,7 +14,7 @@ import pytest
 import splitknit
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.io.plain import capture_of_arrays, spread_lights
+from splitknit.observation.plain import capture_of_arrays, spread_lights
 from splitknit.photometric.uncalibrated import (
     bas_relief_note,
     bas_relief_of,
@@ -128,7 +128,7 @@ def test_the_command_line_takes_unknown(tmp_path: Path, capsys: pytest.CaptureFi
     folder.mkdir()
     for k, image in enumerate(photographs(HEIGHT, spread_lights(7))):
         cv2.imwrite(str(folder / f"{k}.png"), image)
-    command = ["reconstruct", "--images", str(folder), "--lights", "unknown", "--px-per-mm", "8"]
+    command = f"reconstruct --images {folder} --lights unknown --px-per-mm 8".split()
     assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["facts"]["lights"] == "estimated"

@@ -4,8 +4,6 @@ damaged."""
 from __future__ import annotations
 
 import json
-import tempfile
-from pathlib import Path
 from random import Random
 
 import cv2
@@ -16,7 +14,6 @@ from hypothesis import strategies as st
 from png_files import PNG, chunk, png_of
 from splitknit.errors import BadInput
 from splitknit.io.images import decode_image as decode_png
-from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.provenance import canonical_json
 
 FUZZ = settings(max_examples=150, derandomize=True, deadline=None)
@@ -83,23 +80,3 @@ def test_canonical_json_is_a_fixed_point(value):
     except BadInput:
         return
     assert canonical_json(json.loads(text)) == text
-
-
-@FUZZ
-@given(
-    st.dictionaries(
-        st.text(alphabet="abcdef_0", min_size=1, max_size=5),
-        st.integers(-(2**60), 2**60)
-        | st.floats()
-        | st.lists(st.integers(-5, 5), max_size=5)
-        | st.booleans(),
-        max_size=4,
-    )
-)
-def test_any_numbers_survive_an_npz_archive(arrays):
-    with tempfile.TemporaryDirectory() as scratch:
-        write_npz(Path(scratch) / "a.npz", arrays)
-        read = read_npz(Path(scratch) / "a.npz")
-    assert list(read) == list(arrays)
-    for name, value in arrays.items():
-        np.testing.assert_array_equal(read[name], value)

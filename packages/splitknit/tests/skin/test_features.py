@@ -7,12 +7,19 @@ import numpy as np
 import pytest
 
 from skin_scene import make_scene
-from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients
+from splitknit.imaging.pixels import bin_mean
 from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.learned import (
     COUNT,
+    GAIN_UNCERTAINTY,
+    HIDDEN_RIDGES_UM,
+    OWN_ERROR,
+    RED_SHADING,
     RELIEF_MM,
+    RIDGE_BAND_MM,
+    SLANT_DEG,
+    SLANT_ERROR,
     azimuth_waves,
     can_learn,
     features,
@@ -21,15 +28,6 @@ from splitknit.skin.learned import (
     with_gain_uncertainty,
 )
 from splitknit.skin.light import fine_lighting, slant_of
-from splitknit.skin.parameters import (
-    GAIN_UNCERTAINTY,
-    HIDDEN_RIDGES_UM,
-    OWN_ERROR,
-    RED_SHADING,
-    RIDGE_BAND_MM,
-    SLANT_DEG,
-    SLANT_ERROR,
-)
 from splitknit.skin.relief import ReliefEstimate
 
 FACTOR = 3

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from splitknit.imaging.view import view_of
-from splitknit.model import Camera, default_rig
+from splitknit.model import Camera
+from splitknit.nominal import default_rig
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import coarser, finer_grid, finer_images
 

@@ -7,8 +7,8 @@ from skin_scene import ring
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import Lighting
-from splitknit.skin.parameters import CROSSOVER_MM
 from splitknit.skin.relief import (
+    CROSSOVER_MM,
     Measured,
     Unmixing,
     denoise,

@@ -28,7 +28,6 @@ from rich.text import Text
 
 from splitknit.cli.console import one_line, progress_bar, warnings_shown, with_options
 from splitknit.cli.exits import ANSWERS, BAD_INPUT, DONE, INTERNAL_ERROR, fail, say
-from splitknit.cli.options import read_changes
 from splitknit.errors import BadInput, Refused
 from splitknit.files import given_folders
 from splitknit.io.atomic import GROUP_READABLE
@@ -38,8 +37,8 @@ _ABOUT = "Metric 3D fingerprints from photographs of a finger under one light af
 _ENDING = (
     "Of every verb: --json prints one JSON object on stdout and nothing else; --traceback shows"
     " where an error came from; --group-readable lets your group read what is written (0640, 0750),"
-    " where by default only you can (0600, 0700); --exit-code answers by the exit code: 0 a match"
-    " or live, 10 no match or an attack, 11 undecided or unknown, 12 not acquired.\n\nExit code: 0"
+    " where by default only you can (0600, 0700); --exit-code answers by the exit code: 0 a match,"
+    " 10 no match, 11 undecided, 12 not acquired.\n\nExit code: 0"
     " done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'."
 )
 _FLAG = Parameter(show=False)
@@ -217,6 +216,8 @@ def _called(command: Any, bound: BoundArguments, how: How, options: Mapping[str,
     """What the verb's function returns."""
     settings = bound.arguments.get("settings")
     if settings is not None:
+        from splitknit.cli.options import read_changes  # not for help
+
         bound.arguments["settings"] = read_changes(settings)
     with ExitStack() as stack:
         stack.enter_context(given_folders(_paths_in(bound.arguments.values())))

@@ -16,9 +16,6 @@ INTERRUPTED = 130
 _MATCHED = {"match": DONE, "no match": 10, "undecided": 11, "not acquired": 12}
 ANSWERS = {
     **_MATCHED,
-    "live": DONE,
-    "attack": 10,
-    "unknown": 11,
     "passed": DONE,
     "failed": 10,
 }
@@ -36,9 +33,9 @@ def say(text: str, code: int) -> int:
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):  # `splitknit ... | head` is not an error
-            reason = "what was to be written to files or changed in them is done"
             print(
-                f"splitknit: error: stdout cannot be written: {error.strerror}; {reason}.",
+                f"splitknit: error: stdout cannot be written: {error.strerror}; what was to be"
+                " written to files or changed in them is done.",
                 file=sys.stderr,
             )
             return BAD_INPUT

@@ -10,7 +10,6 @@ from typing import Any
 from splitknit.errors import BadInput, refusing, require
 from splitknit.files import read_bytes
 from splitknit.io.fields import parse_json
-from splitknit.parameters import SETTINGS_BYTES
 from splitknit.settings import flatten
 
 
@@ -64,7 +63,8 @@ def _scalar(text: str) -> Any:
 def _read_settings_file(path: Path) -> dict[str, Any]:
     """Read a JSON (``.json``) or TOML file of settings: ``{"stage": {"field": value}}`` or dotted
     names."""
-    data = read_bytes(path, SETTINGS_BYTES)
+    # those of this program have 2 kB; the parser's time grows with the square of a name's length
+    data = read_bytes(path, 64_000)
     if path.suffix.lower() == ".json":
         tree = parse_json(data, f"the settings file '{path}'")
     else:

@@ -22,6 +22,7 @@ CODES: dict[str, Code] = {
     "unequal-lights": Code(
         "The lights are not as bright as was stated or assumed.",
         "Calibrate their brightness, or let it be estimated.",
+        "0 of 114 sound objects (validation/objects)",
     ),
     "strange-photograph": Code(
         "One photograph is not of the same thing under its own light.",
@@ -43,8 +44,22 @@ CODES: dict[str, Code] = {
         "Check order, directions and brightness of the lights, the encoding and the background.",
         "shine and deep shadows leave much too",
     ),
+    "glossy": Code(
+        "The object shines, and a lobe of gloss is fitted with its surface.",
+        "Mask one material where several differ.",
+    ),
     "no-surface": Code(
         "The slopes that were measured belong to no surface.", "Check the lights' directions."
+    ),
+    "normals-y": Code(
+        "y of a normal map points down, or not where it was stated to: only so its slopes have"
+        " little curl.",
+        "Check `--normals-y`.",
+    ),
+    "normals-contradicted": Code(
+        "The photographs contradict the normal map in a part of the surface.",
+        "Look at misfit.png: gloss and shadows contradict true normals too.",
+        "0 of 1 with scanned normals (DiLiGenT's bear)",
     ),
     "hollow": Code(
         "The object comes out hollow; a hill under lights turned by 180 deg looks the same.",
@@ -78,6 +93,7 @@ CODES: dict[str, Code] = {
     "other-encoding": Code(
         "The photographs are stored as srgb where linear was stated, or the other way round.",
         "State the other one.",
+        "0 of 14 sound objects of gloss and metal",
     ),
     "tone-curve": Code(
         "Stored values are not in proportion to light: a gamma, tone curve or night mode.",
@@ -94,6 +110,11 @@ CODES: dict[str, Code] = {
         "The LEDs seem to stand elsewhere than the rig states.",
         "Measure their positions, or calibrate the lights.",
         "noted for 6 of some 230 sound fingers, doubted for none",
+    ),
+    "near-lights": Code(
+        "Lights that were stated as directions are near; places were fitted to the ground.",
+        "Give their places (`calibrate lights`).",
+        "0 of 114 rendered sets under distant lights",
     ),
     "bare-patch": Code(
         "A part of the finger shows no ridges although it is lit, as under a plaster.",
@@ -200,6 +221,9 @@ CODES: dict[str, Code] = {
     "background-left-out": Code(
         "What lies behind the object reaches a border of the image and was left out.",
         "Look at the outline in the report, or give a mask (`--mask`).",
+    ),
+    "part-left-out": Code(
+        "The outline that was found leaves out a part of the object.", "Give a mask (`--mask`)."
     ),
     "square-pixels": Code(
         "Pixels of a print that were not square were made so.", "Nothing; or scan it again."

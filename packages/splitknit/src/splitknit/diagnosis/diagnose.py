@@ -9,25 +9,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splitknit.diagnosis.brightness import with_equal_lights
-from splitknit.diagnosis.frames import TURNED, LightFit, doubt_of_lights, fit_lights
-from splitknit.diagnosis.lights import findings_on_places
+from splitknit.diagnosis.brightness import findings_on_encoding, with_equal_lights
+from splitknit.diagnosis.frames import HIGH_RESIDUAL, TURNED, LightFit, doubt_of_lights, fit_lights
+from splitknit.diagnosis.lights import findings_on_places, with_places_by_ground
 from splitknit.diagnosis.masks import findings_on_mask, findings_on_outline
-from splitknit.diagnosis.parameters import (
-    CURVED_RESIDUAL,
-    DISTANT_RESIDUAL,
-    HIGH_RESIDUAL,
-)
 from splitknit.diagnosis.photographs import compared_pixels, faulty_photograph, left_out
 from splitknit.diagnosis.relief import findings_on_relief
-from splitknit.diagnosis.response import ENCODING, ResponseDoubt, doubt_of_response, other_encoding
+from splitknit.diagnosis.response import ENCODING, ResponseDoubt, doubt_of_response
 from splitknit.diagnosis.samples import sampled_light
 from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
-from splitknit.imaging.polarised import findings_on_series
-from splitknit.model import Band, Capture
-from splitknit.steps import shared, step
+from splitknit.observation.films import findings_on_series
+from splitknit.observation.light import Light
+from splitknit.observation.observe import Observation
+from splitknit.steps import step
 
 TILTED = (
     "the lights differ in brightness by {:.0f} %, which was estimated from the photographs and"
@@ -38,7 +34,7 @@ TILTED = (
 class Diagnosis(NamedTuple):
     """Photographs, and what is wrong with them."""
 
-    capture: Capture
+    observation: Observation
     """Without photographs that do not fit the others, and as bright as the lights turned out to
     be."""
     finger: Finger
@@ -46,101 +42,99 @@ class Diagnosis(NamedTuple):
     findings: tuple[Finding, ...]
 
 
-@shared
 @step("finger")
-def diagnose(capture: Capture, finger: Finger) -> Diagnosis:
-    """Ask all questions. Raises BadInput if the white photographs are too few, or their lights lie
-    in a plane."""
-    skin = capture.material == "skin"
-    white = capture.bands["white"]
+def diagnose(observation: Observation, finger: Finger, *, fit_places: bool = True) -> Diagnosis:
+    """Ask all questions; `fit_places`: of lights that were stated as directions, too. Raises
+    BadInput if the white photographs are too few, or their lights lie in a plane.
+    """
+    skin = observation.material == "skin"
+    places: dict[str, Any] = {}
+    of_places: list[Finding] = []
+    if fit_places and not skin:
+        observation, places, of_places = with_places_by_ground(observation, finger)
+    white = observation.white
     fit = None
     if not (skin and white.colours):
         with suppress(BadInput):  # raised below
-            fit = _fit(capture, white, finger)
-    of_mask = [] if fit is None else findings_on_mask(capture, finger)
+            fit = _fit(white, observation.material, finger)
+    of_mask = [] if fit is None else findings_on_mask(observation, finger)
     films: tuple[Finding, ...] = ()
     if white.crossed is not None and not white.colours:
-        parallel, _, pixels = sampled_light(capture, replace(white, crossed=None))
-        crossed, _, _ = sampled_light(capture, white.crossed)
+        parallel, _, pixels = sampled_light(replace(white, crossed=None))
+        crossed, _, _ = sampled_light(white.crossed)
         films = findings_on_series(parallel, crossed, finger.mask[pixels])
     judged = _judged_skin if skin else _judged_object
-    capture, facts, findings = judged(capture, finger, fit)
-    finger = replace(finger, facts={**finger.facts, **facts})
-    return Diagnosis(capture, finger, (*of_mask, *findings, *films))
+    observation, facts, findings = judged(observation, finger, fit)
+    finger = replace(finger, facts={**finger.facts, **places, **facts})
+    return Diagnosis(observation, finger, (*of_places, *of_mask, *findings, *films))
 
 
 def _judged_object(
-    capture: Capture, finger: Finger, fit: LightFit | None
-) -> tuple[Capture, dict[str, Any], list[Finding]]:
+    observation: Observation, finger: Finger, fit: LightFit | None
+) -> tuple[Observation, dict[str, Any], list[Finding]]:
     """An opaque object without the photographs that do not fit the others, under equal lights;
     facts, and findings."""
     facts: dict[str, Any] = {}
-    findings: list[Finding] = []
+    findings = findings_on_encoding(observation, finger)
     # in another order, none of them is at fault
     if fit is None or fit.in_order or fit.frame == TURNED:
-        bands = dict(capture.bands)
-        for name, band in capture.bands.items():
+        bands = dict(observation.bands)
+        for name, band in observation.bands.items():
             pixels = compared_pixels(band, finger)
             if pixels is None:
                 continue
-            bands[name], notes = left_out(capture, band, finger, *pixels)
+            bands[name], notes = left_out(band, finger, *pixels)
             findings += notes
             if name == "white":
-                bands[name], of_lights, notes = with_equal_lights(
-                    capture, bands[name], finger, *pixels
-                )
+                bands[name], of_lights, notes = with_equal_lights(bands[name], finger)
                 findings += notes
                 facts |= of_lights
-        if len(bands["white"].leds) < len(capture.bands["white"].leds):
+        if bands["white"].photographs < observation.white.photographs:
             fit = None  # it counts the photographs that were left out
-        capture = replace(capture, bands=bands)
-    for name in _judged_bands(capture):
-        of_band, doubt = _judged_lights(capture, name, finger, fit, None)
+        observation = replace(observation, bands=bands)
+    for name in _judged_bands(observation):
+        of_band, doubt = _judged_lights(observation, name, finger, fit, None)
         facts |= of_band
         findings += doubt
-    return capture, facts, findings
+    return observation, facts, findings
 
 
 def _judged_skin(
-    capture: Capture, finger: Finger, fit: LightFit | None
-) -> tuple[Capture, dict[str, Any], list[Finding]]:
+    observation: Observation, finger: Finger, fit: LightFit | None
+) -> tuple[Observation, dict[str, Any], list[Finding]]:
     """Photographs of a finger, as bright as their lights turn out to be; facts, and findings."""
     sound = fit is None or fit.residual < HIGH_RESIDUAL
-    response = doubt_of_response(capture, finger) if sound else None
+    response = doubt_of_response(observation, finger) if sound else None
     facts: dict[str, Any] = {}
     findings = [response.finding] if response is not None and response.sure else []
     doubted = set()
-    for name in _judged_bands(capture):
-        band = capture.bands[name]
-        of_band, doubt = _judged_lights(capture, name, finger, fit, response)
+    for name in _judged_bands(observation):
+        band = observation.bands[name]
+        of_band, doubt = _judged_lights(observation, name, finger, fit, response)
         facts |= of_band
         gains = of_band.get(f"light_brightness{_suffix(name)}", ())
         # nobody measured it
-        if gains and len({led.intensity for led in capture.rig.select(band.lights).leds}) == 1:
-            bright = np.repeat(np.array(gains)[:, None], band.pixels.shape[3], axis=1)
-            equal = replace(
-                band,
-                transmission=bright * (1.0 if band.transmission is None else band.transmission),
-            )
-            capture = replace(capture, bands={**capture.bands, name: equal})
+        if gains and len({led.intensity for led in band.rig.leds}) == 1:
+            bright = np.repeat(np.array(gains)[:, None], len(band.channels), axis=1)
+            observation = observation.with_light(band.divided_by(bright))
             words = TILTED.format(100 * float(np.std(np.log(gains))))
             findings.append(Finding("estimated-brightness", words).of_band(name))
             doubt = [each for each in doubt if each.severity == Severity.SPOILS]
         findings += doubt
         doubted |= {name} if doubt else set()
-    findings += findings_on_relief(capture, finger, fits="white" not in doubted)
+    findings += findings_on_relief(observation, finger, fits="white" not in doubted)
     if response is None and "white" not in doubted:
-        findings += findings_on_places(capture, finger)
-    if "nir" in capture.bands and "nir" not in doubted:
-        findings += findings_on_outline(capture, finger)
-    return capture, facts, findings
+        findings += findings_on_places(observation, finger)
+    if "nir" in observation.bands and "nir" not in doubted:
+        findings += findings_on_outline(observation, finger)
+    return observation, facts, findings
 
 
-def _judged_bands(capture: Capture) -> list[str]:
+def _judged_bands(observation: Observation) -> list[str]:
     return [
         name
         for name in ("white", "nir")
-        if name in capture.bands and not capture.bands[name].colours
+        if name in observation.bands and not observation.bands[name].colours
     ]
 
 
@@ -149,17 +143,16 @@ def _suffix(name: str) -> str:
     return "" if name == "white" else f"_{name}"
 
 
-def _fit(capture: Capture, band: Band, finger: Finger) -> LightFit:
+def _fit(light: Light, material: str, finger: Finger) -> LightFit:
     """How well a band's photographs fit their lights."""
-    stack, vectors, pixels = sampled_light(capture, band)
-    opaque = capture.material == "opaque"
+    stack, vectors, pixels = sampled_light(light)
+    opaque = material == "opaque"
     fit = fit_lights(stack, vectors, finger.wider[pixels], relief=opaque)
-    assumed = opaque and capture.rig.intensities_assumed
-    return replace(fit, brightness=()) if assumed else fit  # see `with_equal_lights`
+    return replace(fit, brightness=()) if opaque else fit  # see `with_equal_lights`
 
 
 def _judged_lights(
-    capture: Capture,
+    observation: Observation,
     name: str,
     finger: Finger,
     white_fit: LightFit | None,
@@ -168,10 +161,14 @@ def _judged_lights(
     """How well a band's photographs fit their lights, and what is wrong where another order or
     frame fits better, one does not belong to the others, or the camera's response is wrong.
     """
-    band = capture.bands[name]
+    band = observation.bands[name]
     white = name == "white"
     try:
-        fit = white_fit if white and white_fit is not None else _fit(capture, band, finger)
+        fit = (
+            white_fit
+            if white and white_fit is not None
+            else _fit(band, observation.material, finger)
+        )
     except BadInput:
         if white:
             raise
@@ -183,7 +180,7 @@ def _judged_lights(
     }
     if fit.brightness:
         facts[f"light_brightness{suffix}"] = [round(each, 3) for each in fit.brightness]
-    doubt = doubt_of_lights(fit, band.image_names, capture.material)
+    doubt = doubt_of_lights(fit, band.image_names, observation.material)
     in_order = fit.frame == "right-up" and fit.in_order
     strange = fit.strange is not None
     worse = strange or (
@@ -191,16 +188,21 @@ def _judged_lights(
     )
     if in_order and response is not None and (response.sure or not worse):  # it explains the rest
         return facts, [response.finding] if white and not response.sure else []
-    skin = capture.material == "skin"
-    if skin and in_order and not strange and (doubt is not None or fit.residual > CURVED_RESIDUAL):
-        encoding = other_encoding(capture)
+    skin = observation.material == "skin"
+    # light left unexplained from which the other encoding is tried: of linear photographs declared
+    # sRGB 0.07 to 0.1. Range: up to 0.07
+    if skin and in_order and not strange and (doubt is not None or fit.residual > 0.05):
+        encoding = observation.other_encoding
         # unequal lights stay so, a wrong curve not
-        stored = _fit(replace(capture, encoding=encoding), band, finger)
+        stored = _fit(band.as_if_stored(encoding), observation.material, finger)
         explained = doubt is not None and doubt_of_lights(stored, band.image_names) is None
         if explained or stored.residual < 0.5 * fit.residual:
             severity = Severity.SPOILS if fit.spoils_skin else Severity.DOUBT
-            doubt = Finding("other-encoding", ENCODING.format(capture.encoding, encoding), severity)
-    # LEDs beside the finger are not such lights
-    if doubt is None and skin and fit.residual < DISTANT_RESIDUAL:
-        doubt = faulty_photograph(capture, band, finger)
+            doubt = Finding(
+                "other-encoding", ENCODING.format(observation.encoding, encoding), severity
+            )
+    # photographs are compared with each other under distant lights alone, which leave less than
+    # this unexplained; LEDs beside the finger leave more
+    if doubt is None and skin and fit.residual < 0.15:
+        doubt = faulty_photograph(band, finger)
     return facts, [] if doubt is None else [doubt.of_band(name)]

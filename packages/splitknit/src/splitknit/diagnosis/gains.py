@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from splitknit.checks import check_lights, check_mask, check_stack
-from splitknit.diagnosis.parameters import (
-    GAINS_PIXELS,
-    GAINS_SHADOW,
-    LEAST_PHOTOGRAPHS,
-)
+from splitknit.imaging.robust import cauchy
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.equations import PAIRS, back_substitute, factorise
+
+LEAST_PHOTOGRAPHS = 4
+"""Photographs that are left at least: with one less, nothing shows which does not fit."""
+GAINS_PIXELS = 8_000
+"""Pixels of the object that gains and derivatives are fitted to, in px. Chosen on: speed."""
 
 
 def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> Array:
@@ -54,9 +55,7 @@ def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None)
         weights = lit.astype(np.float64)
         g = back_substitute(factorise(products @ weights), vectors.T @ (weights * equal))
         residual = equal - vectors @ g
-        weights = lit / (
-            1.0 + (residual / max(3.0 * float(np.median(np.abs(residual[lit]))), 1e-6)) ** 2
-        )
+        weights = lit * cauchy(residual, max(3.0 * float(np.median(np.abs(residual[lit]))), 1e-6))
         factors = factorise(products @ weights)
         weighted = weights * equal
         power = np.diag((weighted * equal).sum(axis=1))
@@ -72,7 +71,7 @@ def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None)
         step = np.clip(np.abs(inverse) / np.abs(inverse).max(), 1e-3, None)
         gains /= step
         gains /= np.exp(np.log(gains).mean())
-        if float(np.ptp(np.log(step))) < 1e-4:
+        if np.ptp(np.log(step)) < 1e-4:
             break
     return np.asarray(gains)
 
@@ -101,4 +100,5 @@ def lit_values(light: FloatArray, lights: FloatArray, ceilings: FloatArray) -> B
     relative = light / np.linalg.norm(lights, axis=1).astype(np.float32)[:, None]
     usable = light < ceilings[:, None]
     peak = np.max(relative, axis=0, where=usable, initial=1e-20)
-    return np.asarray((relative > GAINS_SHADOW * peak) & usable)
+    # a light is in shadow where its image is below this part of the brightest one's
+    return np.asarray((relative > 0.1 * peak) & usable)

@@ -1,43 +1,77 @@
-"""Whether the LEDs stand where the rig states: their height and the middle of their ring, fitted
-with the surface."""
+"""Whether the LEDs stand where they are stated: height and middle of a finger's ring, fitted with
+the surface; places of near lights whose directions alone were stated, by the ground beside a thing.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from splitknit.diagnosis.parameters import (
-    CLEAN_RESIDUAL,
-    DARKENING,
-    DARKENING_EXPONENT,
-    DARKENING_SD,
-    FEWEST_PLACED,
-    INDEPENDENT_PLACES,
-    NOTED_HEIGHT,
-    NOTED_SHIFT_MM,
-    PLACES_MM,
-    PLACES_NOISE,
-    PLACES_OF_SOUND,
-    PLACES_PLANE_MM,
-    PLACES_PRIOR,
-    PLACES_STEPS,
-    SAMPLED_MM,
-    STEEPEST_NZ,
-    SURE_HEIGHT,
-    SURE_SHIFT_MM,
-    UNFIT_RESIDUAL,
-)
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
-from splitknit.imaging.band import bin_mean, has_colour, linear_channels
 from splitknit.imaging.light_field import light_vectors_at
+from splitknit.imaging.pixels import bin_mean
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.poisson import poisson
-from splitknit.model import Array, BoolArray, Capture, FloatArray, Led, Rig
+from splitknit.model import Array, BoolArray, FloatArray, Led, Rig
+from splitknit.observation.observe import Observation
+from splitknit.photometric.places import GROUND_POINTS, places_by_ground, plain_ground
+from splitknit.photometric.uncalibrated import bas_relief_of
 from splitknit.skin.light import fresnel_transmission
+
+EXPLAINED = 0.2
+"""Logarithm of the ground's misfit under distant lights over that under near ones, where these were
+not fitted, from which lights are near: 0.46 on a photographed dome, -0.02 to 0.01 on 14 rendered
+sets of distant lights. Range: 0.01 to 0.46."""
+_SURROUNDINGS = 0.1  # of an object, over the root of its area: what it shades or reflects light on
+CERTAIN = 0.3  # 95 % interval of a place over its distance, at most
+NEAR = (
+    "the lights are near: the ground beside the object puts them on a dome of {:.0f} mm radius,"
+    " each +-{:.0f} mm (95 %), and these places are used; if the ground is not flat and matt,"
+    " measure them (`calibrate lights`), or keep the directions (`lights.places` stated)."
+)
+
+
+def with_places_by_ground(
+    observation: Observation, finger: Finger
+) -> tuple[Observation, dict[str, Any], list[Finding]]:
+    """Photographs of an opaque thing whose lights were stated as directions, with places where the
+    ground shows that they are near; facts, and a finding.
+    """
+    white, camera = observation.white, observation.rig.camera
+    leds = white.rig.leds
+    known = white.flattened or bas_relief_of(observation.rig) is not None
+    near = any(led.position_mm or led.also for led in leds)
+    if known or near or white.colours or not camera.scale_known:
+        return observation, {}, []
+    step = math.ceil(math.sqrt(finger.mask.size / GROUND_POINTS))
+    stack = white.at(step, (slice(None), slice(None))).grey
+    stack /= np.array([led.intensity for led in leds], dtype=np.float32)[:, None, None]
+    margin = 2 * round(_SURROUNDINGS * math.sqrt(finger.mask.sum()) / step) + 1
+    around = np.ones((margin, margin), np.uint8)
+    covered = cv2.dilate(bin_mean(finger.mask.astype(np.float32), step), around) > 0
+    ground = plain_ground(stack, step, camera, covered)
+    if ground is None:
+        return observation, {}, []
+    picture_mm = max(camera.image_size) * camera.pitch_mm
+    fit, explained = places_by_ground(white.rig.light_vectors(), ground, picture_mm)
+    places = fit.places_mm
+    interval_mm = float(np.median(fit.interval_mm))
+    distance_mm = float(np.median(np.linalg.norm(places, axis=1)))
+    if explained < EXPLAINED or interval_mm > CERTAIN * distance_mm:
+        return observation, {}, []
+    moved = {
+        led: replace(led, direction=None, position_mm=(x, y, z))
+        for led, (x, y, z) in zip(leds, places.tolist(), strict=True)
+    }
+    rig = replace(observation.rig, leds=tuple(moved.get(led, led) for led in observation.rig.leds))
+    facts = {"light_places_mm": np.round(places, 2).tolist()}
+    words = NEAR.format(fit.dome_mm[3], interval_mm)
+    return observation.under(rig), facts, [Finding("near-lights", words)]
 
 
 class LightPlaces(NamedTuple):
@@ -50,6 +84,26 @@ class LightPlaces(NamedTuple):
     """x and y of the ring's middle beyond the stated one."""
     residual: float
     """Relative (rms)."""
+
+
+_STEEPEST_NZ = (0.5, 0.65)  # z component of the normals between which a pixel comes to count
+_DARKENING = 0.3
+"""Fall of the logarithm of the albedo over 1 - n_z on sound fingers. Chosen on: simulated
+fingers."""
+_DARKENING_SD = 0.04
+"""Standard deviation of that fall: of 0.015, 0.04 and 0.12 the one with the narrowest heights on 80
+simulated fingers. Chosen on: simulated fingers (80)."""
+_PLACES_NOISE = 0.005
+"""Relative residual on sound fingers. Chosen on: simulated fingers."""
+_INDEPENDENT_PLACES = 60.0  # number of places whose residuals do not depend on each other
+_PLACES_PRIOR = (0.7, 25.0, 25.0)
+"""Standard deviations of the three unknowns: logarithm of the height's factor, and both shifts, in
+none, mm, mm."""
+_PLACES_STEPS = (0.02, 0.5, 0.5)
+"""Steps of the numerical derivatives by the three unknowns, in none, mm, mm."""
+_PLACES_OF_SOUND = (0.0, 0.0, -1.5)
+"""What is fitted to sound fingers (mean of the three unknowns), which scattering and the finger's
+shape leave, in none, mm, mm. Chosen on: simulated fingers."""
 
 
 def fitted_places(  # noqa: PLR0917
@@ -85,7 +139,7 @@ def fitted_places(  # noqa: PLR0917
         led.position_mm and led.shade is None and not any(each.reflected for each in led.also)
         for led in rig.leds
     )
-    if len(rig.leds) < FEWEST_PLACED or not near:
+    if len(rig.leds) < 6 or not near:  # lights from which three of each pixel's values are spare
         return None
     height_mm = np.zeros(mask.shape, dtype=np.float32)
     nz = np.zeros(mask.shape, dtype=np.float32)
@@ -95,12 +149,12 @@ def fitted_places(  # noqa: PLR0917
         nz[mask] = np.maximum(normals[:, 2], 0.15)
         slopes[:, mask] = -normals[:, :2].T / nz[mask]
         height_mm = np.nan_to_num(poisson(slopes[0], slopes[1], mask, nz)) * pitch_mm
-    low, high = STEEPEST_NZ
+    low, high = _STEEPEST_NZ
     chosen = mask & (depth_mm > 1.0) & (nz > low)
-    if chosen.sum() < 2 * INDEPENDENT_PLACES:
+    if chosen.sum() < 2 * _INDEPENDENT_PLACES:
         return None
     weight = np.sqrt(np.clip((nz[chosen] - low) / (high - low), 0.02, 1.0)).astype(np.float64)
-    scale = weight / (PLACES_NOISE * np.sqrt(weight.sum() / INDEPENDENT_PLACES))
+    scale = weight / (_PLACES_NOISE * np.sqrt(weight.sum() / _INDEPENDENT_PLACES))
 
     def residuals(unknowns: Array) -> Array:
         residual, albedo, n = _solved(stack, rig, view, height_mm, chosen, unknowns)
@@ -109,27 +163,28 @@ def fitted_places(  # noqa: PLR0917
         return np.concatenate(
             [
                 (residual * scale).ravel(),
-                [(fall + DARKENING) / DARKENING_SD],
-                unknowns / PLACES_PRIOR,
+                [(fall + _DARKENING) / _DARKENING_SD],
+                unknowns / _PLACES_PRIOR,
             ]
         )
 
-    def jacobian(unknowns: Array) -> Array:
+    unknowns = np.zeros(3)
+    for _ in range(6):  # two suffice where the lights stand as stated
         now = residuals(unknowns)
-        return np.column_stack(
-            [(residuals(unknowns + step) - now) / step.sum() for step in np.diag(PLACES_STEPS)]
+        slope = np.column_stack(
+            [(residuals(unknowns + step) - now) / step.sum() for step in np.diag(_PLACES_STEPS)]
         )
-
-    from scipy.optimize import least_squares  # slow to load
-
-    fit = least_squares(
-        residuals, np.zeros(3), jacobian, x_scale=PLACES_STEPS, xtol=1e-3, max_nfev=12
-    )
-    residual = _solved(stack, rig, view, height_mm, chosen, fit.x)[0]
-    height, x_mm, y_mm = (float(each) for each in fit.x - PLACES_OF_SOUND)
+        unknowns += np.linalg.lstsq(slope, -now, rcond=None)[0]
+    residual = _solved(stack, rig, view, height_mm, chosen, unknowns)[0]
+    height, x_mm, y_mm = (float(each) for each in unknowns - _PLACES_OF_SOUND)
     return LightPlaces(
         float(np.exp(height)), (x_mm, y_mm), float(np.sqrt((residual**2 * weight**2).mean()))
     )
+
+
+_DARKENING_EXPONENT = 0.15
+"""Exponent of the cosine by which skin darkens beside Fresnel's law: 0.1 to 0.4 fit sound fingers.
+Chosen on: simulated fingers. Range: 0.1 to 0.4."""
 
 
 def _solved(  # noqa: PLR0917
@@ -150,7 +205,8 @@ def _solved(  # noqa: PLR0917
         place = (x + unknowns[1], y + unknowns[2], z * height)
         return replace(led, position_mm=place, also=tuple(moved(each) for each in led.also))
 
-    surface = (height_mm * height + PLACES_PLANE_MM).astype(np.float32)  # slopes go with the height
+    # assumed mean height of the skin above the finger plane
+    surface = (height_mm * height + 1.0).astype(np.float32)  # slopes go with the height
     field = light_vectors_at(replace(rig, leds=tuple(map(moved, rig.leds))), *view.points(surface))
     vectors = view.turned(field)[:, :, where].astype(np.float64)
     images = stack[:, where].astype(np.float64)
@@ -163,24 +219,25 @@ def _solved(  # noqa: PLR0917
         albedo = np.maximum(np.sqrt((g * g).sum(axis=1)), 1e-12)
         normals = g / albedo[:, None]
         cosine = np.maximum(np.einsum("kan,na->kn", vectors, normals) / length, 0.05)
-        entering = fresnel_transmission(cosine) * cosine**DARKENING_EXPONENT
+        entering = fresnel_transmission(cosine) * cosine**_DARKENING_EXPONENT
     residual = (images - np.einsum("kan,na->kn", lights, g)) / np.maximum(
         images.mean(axis=0), 1e-12
     )
     return residual, albedo, normals
 
 
-def findings_on_places(capture: Capture, finger: Finger) -> list[Finding]:
+def findings_on_places(observation: Observation, finger: Finger) -> list[Finding]:
     """A doubt, or a note, where the white LEDs seem to stand elsewhere than the rig states."""
-    band, camera = capture.bands["white"], capture.rig.camera
-    if band.colours or any(led.position_mm is None for led in capture.rig.leds):
+    white, camera = observation.white, observation.rig.camera
+    if white.colours or any(led.position_mm is None for led in observation.rig.leds):
         return []
-    every = max(1, round(SAMPLED_MM * camera.px_per_mm))
-    binning = max(1, round(PLACES_MM * camera.px_per_mm / every))
-    names = ("red", "green", "blue") if has_colour(band) else ("grey",)
-    images = bin_mean(linear_channels(band.sampled(every), capture.encoding, names), binning)
+    # distance of the pixels that the lights' places are fitted to
+    every = max(1, round(0.1 * camera.px_per_mm))
+    # side of the blocks of pixels in which the lights' places are looked for: ridges are smaller
+    binning = max(1, round(0.8 * camera.px_per_mm / every))
+    images = bin_mean(white.sampled(every).stack, binning)
     inside = bin_mean(finger.mask[::every, ::every].astype(np.float32), binning) > 0.99
-    rows, columns = (n // (every * binning) for n in capture.shape)
+    rows, columns = (n // (every * binning) for n in observation.shape)
     images, inside = images[..., :rows, :columns], inside[:rows, :columns]
     if not inside.any():
         return []
@@ -193,26 +250,45 @@ def findings_on_places(capture: Capture, finger: Finger) -> list[Finding]:
         * pitch_mm
     )
     view = view_of(camera, binning=every * binning, along_rays=True)
-    rig = capture.rig.select(band.lights)
+    rig = white.rig
     places = fitted_places(stack, rig, inside, depth_mm, view, pitch_mm)
     doubt = places and doubt_of_places(places, rig)
     return [doubt] if doubt else []
 
 
+_UNFIT_RESIDUAL = 0.025
+"""Residual from which places do not follow: 0.003 to 0.023 on dry fingers, up to 0.13 on wet ones.
+Chosen on: simulated fingers (in all conditions)."""
+_NOTED_HEIGHT = 0.18
+"""Logarithm of the height's factor that is noted: sound fingers have -0.09 to 0.15, glossy ones
+0.19. Chosen on: simulated fingers (in all conditions)."""
+_NOTED_SHIFT_MM = 6.0
+"""Shift that is noted: sound fingers have up to 5.8 mm. Chosen on: simulated fingers (in all
+conditions)."""
+_SURE_HEIGHT = 0.4
+"""Logarithm of the height's factor that is doubted: of the sound fingers one had 0.35, five others
+up to 0.22 and shifts of up to 11 mm. Chosen on: simulated fingers (some 230 in all conditions and
+tones of skin)."""
+_SURE_SHIFT_MM = 13.0
+"""Shift that is doubted. Chosen on: simulated fingers (some 230 in all conditions and tones of
+skin)."""
+
+
 def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
     """A note where the fitted places clearly differ from the stated ones, a doubt where no sound
     finger's do so."""
-    if places.residual > UNFIT_RESIDUAL:
+    if places.residual > _UNFIT_RESIDUAL:
         return None
     x, y = places.shift_mm
     shift_mm = float(np.hypot(x, y))
     stated = np.array([led.position_mm for led in rig.leds], dtype=np.float64)
     height_mm = float(stated[:, 2].mean())
     radius_mm = float(np.linalg.norm(stated[:, :2] - stated[:, :2].mean(axis=0), axis=1).mean())
-    unsure = max(1.0, places.residual / CLEAN_RESIDUAL)
+    # the noted height and shift grow with a residual above this
+    unsure = max(1.0, places.residual / 0.012)
     factor = abs(np.log(places.height))
     words = []
-    if factor > NOTED_HEIGHT * unsure:
+    if factor > _NOTED_HEIGHT * unsure:
         up = height_mm * (places.height - 1)
         wide = radius_mm * (1 / places.height - 1)
         words.append(
@@ -220,7 +296,7 @@ def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
             f" states, or their ring {abs(wide):.0f} mm {'narrower' if up > 0 else 'wider'} in"
             f" radius (all heights are then {100 / places.height:.0f} % of the true ones)"
         )
-    if shift_mm > NOTED_SHIFT_MM * unsure:
+    if shift_mm > _NOTED_SHIFT_MM * unsure:
         words.append(
             f"the middle of the LEDs' ring seems to lie {shift_mm:.0f} mm from where the rig states"
             f" (x {x:+.0f}, y {y:+.0f} mm), which tilts the surface by"
@@ -228,7 +304,9 @@ def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
         )
     if not words:
         return None
-    severity = Severity.DOUBT if factor > SURE_HEIGHT or shift_mm > SURE_SHIFT_MM else Severity.NOTE
+    severity = (
+        Severity.DOUBT if factor > _SURE_HEIGHT or shift_mm > _SURE_SHIFT_MM else Severity.NOTE
+    )
     return Finding(
         "led-places", f"{'; '.join(words)}: measure position_mm, or calibrate the lights.", severity
     )

@@ -12,46 +12,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from splitknit.diagnosis.parameters import (
-    BLUE_OVER_RED,
-    BRIGHTNESS_SPREAD,
-    CLIPPED_FINGER,
-    COLOUR_SPREAD,
-    DRIFT_ALONE,
-    DRIFT_CHANGE,
-    DRIFT_ERRORS,
-    FEWEST_ANSWERING,
-    FEWEST_LIGHTS,
-    FEWEST_LIT,
-    FITTED_WIDTH,
-    FLANK_PIXELS,
-    FLANKS_QUANTILE,
-    FLAT_FINGER,
-    HOLLOW_FINGER,
-    LIT_RESPONSE,
-    RESPONSE_PLANE_MM,
-    RESPONSE_RIM_MM,
-    RESPONSE_SIDE,
-    SHADED_EXPONENTS,
-    STATED_SD,
-    TONE_DOUBTED,
-    TONE_SPOILS,
-    TONE_SURE,
-    TRIED_EXPONENTS,
-    WELL_LIT,
-)
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.finger.regions import erode
-from splitknit.imaging.band import has_colour, linear_channels
+from splitknit.imaging.geometry import refined_peak
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.poisson import poisson
-from splitknit.model import Array, Band, BoolArray, Capture, FloatArray, PixelArray
+from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.observation.light import Light
+from splitknit.observation.observe import Observation
 from splitknit.photometric.equations import shading, solve
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.photometric.uncalibrated import bas_relief_of
@@ -90,7 +64,10 @@ DRIFTED = (
     "{}: its LED is {:.0f} % {} than at the calibration, by this capture; photograph the white card"
     " again (splitknit calibrate radiometry)."
 )
-_EXPONENTS = np.geomspace(*TRIED_EXPONENTS)
+_TRIED_EXPONENTS = (0.55, 1.8, 9)
+"""Lowest and highest exponent of shading that is tried, and how many in between, in a geometric
+series."""
+_EXPONENTS = np.geomspace(*_TRIED_EXPONENTS)
 
 
 class ResponseDoubt(NamedTuple):
@@ -116,83 +93,91 @@ class _Response(NamedTuple):
 
 
 def doubt_of_response(
-    capture: Capture, finger: Finger, encodings: bool = True
+    observation: Observation, finger: Finger, encodings: bool = True
 ) -> ResponseDoubt | None:
     """What is wrong with a camera's response to light, the surest; `encodings`: whether to try
     another encoding."""
-    every = max(1, max(capture.shape) // RESPONSE_SIDE)
-    inside = np.zeros(capture.shape, dtype=np.bool_)
+    # pixels of the coarse images' longer side, at least
+    every = max(1, max(observation.shape) // 300)
+    inside = np.zeros(observation.shape, dtype=np.bool_)
     inside[finger.window] = finger.inside
     inside = inside[::every, ::every]
-    core = erode(inside, RESPONSE_RIM_MM / (every * capture.rig.camera.pitch_mm))
+    # width of the rim beside the outline that is not used
+    core = erode(inside, 0.6 / (every * observation.rig.camera.pitch_mm))
     responses = []
     for name in ("white", "nir"):
-        band = capture.bands.get(name)
+        band = observation.bands.get(name)
         if (
             band is None
             or band.colours
-            or len(band.lights) < FEWEST_LIGHTS
-            or core.sum() < FEWEST_ANSWERING
+            or len(band.lights) < 5  # lights from which the response is judged
+            or core.sum() < 1000  # pixels of the coarse images from which the response shows, in px
         ):
             continue
-        response = _response(capture, band, inside, core, every)
+        response = _response(band, inside, core, every)
         if isinstance(response, ResponseDoubt):
             return response
         responses.append(response)
     # lights that were estimated fit any tone
-    if not responses or bas_relief_of(capture.rig) is not None:
+    if not responses or bas_relief_of(observation.rig) is not None:
         return None
     doubt = _doubt_of_tone(responses, encodings)
     if doubt is not None and encodings:
-        encoding = other_encoding(capture)
-        if doubt_of_response(replace(capture, encoding=encoding), finger, encodings=False) is None:
-            words = ENCODING.format(capture.encoding, encoding)
+        encoding = observation.other_encoding
+        if doubt_of_response(observation.as_if_stored(encoding), finger, encodings=False) is None:
+            words = ENCODING.format(observation.encoding, encoding)
             return doubt._replace(
                 finding=replace(doubt.finding, code="other-encoding", message=words)
             )
-    if doubt is None and "radiometry" in capture.rig.provenance:
+    if doubt is None and "radiometry" in observation.rig.provenance:
         for response in responses:
-            drift = (
-                drifted_light(response.gains, response.directions)
-                if np.isfinite(response.gains).all()
-                else None
-            )
+            drift = drifted_light(response.gains, response.directions)
             if drift is not None:
-                file = response.files[drift[0]]
-                words = DRIFTED.format(
-                    file, 100 * abs(drift[1] - 1), "darker" if drift[1] < 1 else "brighter"
-                )
-                return ResponseDoubt(
-                    Finding("drifted-led", words, Severity.DOUBT, files=(file,)), False
-                )
+                light, brightness = drift
+                file = response.files[light]
+                change = "darker" if brightness < 1 else "brighter"
+                words = DRIFTED.format(file, 100 * abs(brightness - 1), change)
+                finding = Finding("drifted-led", words, Severity.DOUBT, files=(file,))
+                return ResponseDoubt(finding, False)
     return doubt
 
 
+_BLUE_OVER_RED = 1.3
+"""Blue over red light: at most 0.63; from 1.6 where the colours are swapped. Chosen on: simulated
+fingers (180 in all conditions). Range: 0.63 to 1.6."""
+_CLIPPED_FINGER = 0.2
+"""Fraction of the finger that is clipped in one colour of an image: at most 0.06 (once 0.13); from
+0.27 where it is. Chosen on: simulated fingers (180 in all conditions). Range: 0.13 to 0.27."""
+_COLOUR_SPREAD = 0.02
+"""Standard deviation of the colours' gains: at most 0.001; from 0.037 where white was balanced.
+Chosen on: simulated fingers (180 in all conditions). Range: 0.001 to 0.037."""
+
+
 def _response(
-    capture: Capture, band: Band, inside: BoolArray, core: BoolArray, every: int
+    band: Light, inside: BoolArray, core: BoolArray, every: int
 ) -> _Response | ResponseDoubt:
     """How a band's images answer to the light; a doubt where their colours or clipping show that
     they do not."""
-    coloured = band.name == "white" and has_colour(band)
-    channels = ("red", "green", "blue") if coloured else ("grey",)
+    coloured = band.name == "white" and band.has_colour
+    channels = band.channels if coloured else ("grey",)
     sampled = band.sampled(every)
-    stack = linear_channels(sampled, capture.encoding, channels)
+    stack = sampled.stack if coloured else sampled.grey[None]
     light = stack[..., core]
-    if coloured and (blue := blue_over_red(light)) > BLUE_OVER_RED:
+    if coloured and (blue := blue_over_red(light)) > _BLUE_OVER_RED:
         return ResponseDoubt(Finding("swapped-colours", SWAPPED.format(blue), Severity.SPOILS))
-    clipped, image, colour = clipped_part(sampled.pixels[:, inside])
-    if clipped > CLIPPED_FINGER:
+    clipped, image, colour = sampled.most_clipped(inside)
+    if clipped > _CLIPPED_FINGER:
         file = band.image_names[image]
         words = CLIPPED.format(100 * clipped, file, channels[colour] if coloured else "grey")
         return ResponseDoubt(Finding("clipped-photograph", words, Severity.DOUBT, files=(file,)))
-    surface, vectors = _coarse_surface(stack.sum(axis=0), capture, band, inside, every)
+    surface, vectors = _coarse_surface(stack.sum(axis=0), band, inside, every)
     towards = vectors[..., core]
     gains = image_gains(light, towards)
-    if (spread := colour_spread(gains)) > COLOUR_SPREAD:
+    if (spread := colour_spread(gains)) > _COLOUR_SPREAD:
         odd = int(np.argmax(np.abs(gains - gains.mean(axis=0)).max(axis=0)))
         without = image_gains(np.delete(light, odd, axis=1), np.delete(towards, odd, axis=0))
         finding = Finding("white-balance", WHITE_BALANCE.format(100 * spread), Severity.SPOILS)
-        return ResponseDoubt(finding, colour_spread(without) > COLOUR_SPREAD)
+        return ResponseDoubt(finding, colour_spread(without) > _COLOUR_SPREAD)
     mean = towards.mean(axis=-1)
     strength = np.linalg.norm(mean, axis=1)
     return _Response(
@@ -201,12 +186,24 @@ def _response(
         strength * (band.exposure if len(band.exposure) == len(strength) else 1.0),
         band.image_names,
         shading_exponent(light[1:], towards) if coloured else float("nan"),
-        (
-            height_over_half_width(surface, inside, every * capture.rig.camera.pitch_mm)
-            if coloured
-            else float("nan")
-        ),
+        height_over_half_width(surface, inside, sampled.pitch_mm) if coloured else float("nan"),
     )
+
+
+_TONE_DOUBTED = 0.07
+"""Departure of the exponent from one that is doubted: 0.03 at most on 126 sound fingers under
+unequal lights, 0.12 to 0.75 where a curve or light of 30 % was added. Chosen on: simulated fingers
+(126 under unequal lights). Range: 0.03 to 0.12."""
+_TONE_SURE = 7.0
+"""Least t value of the exponent's departure from one. Chosen on: simulated fingers (126 under
+unequal lights)."""
+_SHADED_EXPONENTS = (0.85, 1.22)
+"""Exponents between which shading under equal lights is sound. Chosen on: simulated fingers (180 in
+all conditions)."""
+_FLAT_FINGER = 0.5
+"""Height over half width below which a finger is too flat: 0.61 to 1.06 on 144 sound fingers, 0.63
+to 0.75 on path-traced ones, 0.34 to 0.45 with local contrast. Chosen on: simulated fingers (144,
+and path-traced ones). Range: 0.45 to 0.61."""
 
 
 def _doubt_of_tone(responses: Sequence[_Response], encodings: bool) -> ResponseDoubt | None:
@@ -214,40 +211,40 @@ def _doubt_of_tone(responses: Sequence[_Response], encodings: bool) -> ResponseD
     finger's height."""
     tone, sure = tone_exponent([response[:3] for response in responses])
     # another encoding must fit well
-    if abs(tone - 1) > TONE_DOUBTED and (abs(sure) > TONE_SURE or not encodings):
-        severity = Severity.SPOILS if abs(tone - 1) > TONE_SPOILS else Severity.DOUBT
+    if abs(tone - 1) > _TONE_DOUBTED and (abs(sure) > _TONE_SURE or not encodings):
+        # departure of the exponent from one that spoils the surface
+        severity = Severity.SPOILS if abs(tone - 1) > 0.1 else Severity.DOUBT
         return ResponseDoubt(Finding("tone-curve", TONE.format(tone), severity))
     exponent = responses[0].exponent
-    if np.isnan(tone) and (exponent < SHADED_EXPONENTS[0] or exponent > SHADED_EXPONENTS[1]):
+    if np.isnan(tone) and (exponent < _SHADED_EXPONENTS[0] or exponent > _SHADED_EXPONENTS[1]):
         return ResponseDoubt(Finding("tone-curve", TONE.format(exponent), Severity.DOUBT), False)
-    if HOLLOW_FINGER < responses[0].height < FLAT_FINGER:
+    # height over half width below which the finger is not flat but hollow: lights in another order
+    if 0.1 < responses[0].height < _FLAT_FINGER:
         return ResponseDoubt(
             Finding("flat-finger", FLAT.format(responses[0].height), Severity.DOUBT), False
         )
     return None
 
 
-def other_encoding(capture: Capture) -> Literal["linear", "srgb"]:
-    """The encoding that was not stated."""
-    return "linear" if capture.encoding == "srgb" else "srgb"
+_RESPONSE_PLANE_MM = 1.0  # mean height of the skin above the finger plane, about
 
 
 def _coarse_surface(
-    stack: FloatArray, capture: Capture, band: Band, inside: BoolArray, every: int
+    stack: FloatArray, band: Light, inside: BoolArray, every: int
 ) -> tuple[FloatArray, FloatArray]:
     """Height (h, w) in mm by near-light photometric stereo, and light vectors (L, 3, h, w) on
     it."""
-    camera, rig = capture.rig.camera, capture.rig.select(band.lights)
+    camera, rig = band.built.camera, band.rig
     view = view_of(camera, along_rays=True)
     pixels = (np.s_[::every],) * view.x_mm.ndim
     view = View(view.x_mm[pixels], view.y_mm[pixels], view.apex_mm, view.along_rays)
     height_mm = np.zeros(inside.shape, dtype=np.float32)
     for _ in range(2):
-        g = pseudo_normals(stack, rig, height_mm + RESPONSE_PLANE_MM, inside, view=view)
+        g = pseudo_normals(stack, rig, height_mm + _RESPONSE_PLANE_MM, inside, view=view)
         z = np.maximum(g[..., 2], 0.15 * np.sqrt((g * g).sum(axis=-1)) + 1e-9)
         height = poisson(-g[..., 0] / z, -g[..., 1] / z, inside) * (every * camera.pitch_mm)
         height_mm = np.nan_to_num(height).astype(np.float32)
-    points = view.points(height_mm + RESPONSE_PLANE_MM)
+    points = view.points(height_mm + _RESPONSE_PLANE_MM)
     return height_mm, view.turned(light_vectors_at(rig, *points))
 
 
@@ -277,15 +274,19 @@ def image_gains(stack: FloatArray, vectors: FloatArray) -> Array:
     gains = np.full((len(stack), len(vectors)), np.nan)
     for row, light in zip(gains, stack, strict=True):
         predicted, lit = _fitted(light, vectors)
-        judged = lit & (predicted > WELL_LIT * predicted.max(axis=0)) & (light > 0)
-        for k in np.flatnonzero(judged.sum(axis=1) >= FEWEST_LIT):
+        # fraction of a pixel's brightest light from which a light's gain is judged: below, attached
+        # shadows and light scattered in the skin matter more
+        judged = lit & (predicted > 0.5 * predicted.max(axis=0)) & (light > 0)
+        # pixels, at least, of which a gain is the median, in px
+        for k in np.flatnonzero(judged.sum(axis=1) >= 100):
             row[k] = np.median(np.log(light[k, judged[k]] / predicted[k, judged[k]]))
     return np.asarray(gains - gains.mean(axis=1, keepdims=True))
 
 
 def _fitted(light: FloatArray, vectors: FloatArray) -> tuple[FloatArray, BoolArray]:
     """What least squares predicts of light (L, n), and where it counts."""
-    lit = light > LIT_RESPONSE * light.max(axis=0)
+    # fraction of a pixel's brightest light from which a light counts in its fit
+    lit = light > 0.3 * light.max(axis=0)
     return shading(solve(light, vectors, lit.astype(np.float32)), vectors), lit
 
 
@@ -322,13 +323,14 @@ def tone_exponent(bands: Sequence[tuple[Array, Array, Array]]) -> tuple[float, f
     level = np.concatenate(levels)
     rest = np.concatenate(rests)
     square = float(level @ level)
-    if square < BRIGHTNESS_SPREAD or freedom < 2:
+    # sum of squares of the lights' log brightness, beside a tilt's, from which it shows the tone:
+    # 0.03 to 0.2 of LEDs that differ by 10 %. Range: up to 0.03
+    if square < 0.01 or freedom < 2:
         return float("nan"), 0.0
     slope = float(level @ rest) / square
     residual = rest - slope * level
-    return 1.0 + slope, slope / float(
-        np.sqrt((residual @ residual / freedom + STATED_SD**2) / square)
-    )
+    # standard deviation of brightness as it is stated, at best, in the logarithm
+    return 1.0 + slope, slope / float(np.sqrt((residual @ residual / freedom + 0.002**2) / square))
 
 
 def _beside_tilt(directions: Array) -> Array:
@@ -353,8 +355,11 @@ def drifted_light(gains: Array, directions: Array) -> tuple[int, float] | None:
     change = float(rest[k] / freedom[k])
     total = float(rest @ rest)
     error = np.sqrt((total - explained[k]) / max(len(gains) - 4, 1) / freedom[k])
-    sure = explained[k] > DRIFT_ALONE * total and abs(change) > DRIFT_ERRORS * error
-    return (k, float(np.exp(change))) if sure and abs(np.expm1(change)) > DRIFT_CHANGE else None
+    # it explains most of all gains alone (gloss, shadows and scattering move several a little), by
+    # three standard errors
+    sure = explained[k] > 0.6 * total and abs(change) > 3.0 * error  # not where gains are NaN
+    # change of a light's brightness from which it has drifted
+    return (k, float(np.exp(change))) if sure and abs(np.expm1(change)) > 0.03 else None
 
 
 def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:
@@ -369,15 +374,17 @@ def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:
     best = []
     for light in np.maximum(stack, 1e-4):
         varied = light.std(axis=0) / light.mean(axis=0)
-        flanks = np.flatnonzero(varied > np.quantile(varied, FLANKS_QUANTILE))
-        flanks = flanks[:: max(1, len(flanks) // FLANK_PIXELS)]
+        # quantile of the pixels, by how much they change with the light, from which they show the
+        # tone
+        flanks = np.flatnonzero(varied > np.quantile(varied, 0.6))
+        # about so many pixels of the flanks are fitted
+        flanks = flanks[:: max(1, len(flanks) // 700)]
         residuals = [
             _residual(light[:, flanks] ** np.float32(1 / p), vectors[..., flanks]) * p
             for p in _EXPONENTS
         ]
-        k = int(np.clip(np.argmin(residuals), 1, len(residuals) - 2))
-        bend, slope, _ = np.polyfit(logs[k - 1 : k + 2], residuals[k - 1 : k + 2], 2)
-        best.append(float(np.clip(-slope / (2 * bend), logs[0], logs[-1])) if bend > 0 else 0.0)
+        place = refined_peak(-np.array(residuals), int(np.argmin(residuals)))
+        best.append(np.interp(place, np.arange(len(logs)), logs))
     return float(np.exp(np.mean(best)))
 
 
@@ -403,7 +410,8 @@ def height_over_half_width(height_mm: FloatArray, mask: BoolArray, pitch_mm: flo
         columns = np.flatnonzero(mask[row])
         half = 0.5 * (columns[-1] - columns[0] + 1)
         across = (columns - 0.5 * (columns[0] + columns[-1])) / half
-        near = np.abs(across) < FITTED_WIDTH
+        # fraction of the half width of a finger, from its axis, on which its height is fitted
+        near = np.abs(across) < 0.9
         terms = np.column_stack([np.ones(near.sum()), across[near], np.sqrt(1 - across[near] ** 2)])
         fit = np.linalg.lstsq(terms, height_mm[row, columns[near]].astype(np.float64), rcond=None)[
             0
@@ -416,16 +424,3 @@ def blue_over_red(stack: FloatArray) -> float:
     """Median of blue over red light of n pixels, of the light (3, L, n) of all lights together."""
     light = stack.sum(axis=1)
     return float(np.median(light[2]) / max(float(np.median(light[0])), 1e-12))
-
-
-def clipped_part(pixels: PixelArray) -> tuple[float, int, int]:
-    """Largest part of n pixels at the highest stored value of its colour, in an image; the image,
-    and the colour.
-
-    `pixels`: (L, n, C) as stored. The highest value is that of all images of a colour: clipped
-    images may have been darkened later.
-    """
-    top = pixels.max(axis=(0, 1))
-    part = (pixels >= top - top // 100).mean(axis=1)
-    image, colour = np.unravel_index(int(np.argmax(part)), part.shape)
-    return float(part.max()), int(image), int(colour)

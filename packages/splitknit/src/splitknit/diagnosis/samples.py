@@ -3,17 +3,16 @@ lights."""
 
 from __future__ import annotations
 
-from splitknit.diagnosis.parameters import (
-    FRAME_SIDE,
-)
-from splitknit.imaging.band import linear_stack
-from splitknit.model import Array, Band, Capture, FloatArray
+from splitknit.imaging.pixels import Window
+from splitknit.model import Array, FloatArray
+from splitknit.observation.light import Light
 
 
-def sampled_light(capture: Capture, band: Band) -> tuple[FloatArray, Array, tuple[slice, slice]]:
-    """Grey linear light (L, h, w) at some of a band's pixels, its lights (L, 3), and which pixels
-    these are."""
-    every = max(1, max(capture.shape) // FRAME_SIDE)
-    lights = capture.rig.select(band.lights).light_vectors()
+def sampled_light(light: Light) -> tuple[FloatArray, Array, Window]:
+    """Grey linear light (L, h, w) at some pixels, its lights (L, 3), and which pixels these are."""
+    # images of at least so many pixels a side are enough to detect in which frame the lights were
+    # measured
+    every = max(1, max(light.shape) // 300)
+    lights = light.rig.light_vectors()
     some = (slice(None, None, every), slice(None, None, every))
-    return linear_stack(band.sampled(every), capture.encoding, "grey"), lights, some
+    return light.sampled(every).grey, lights, some

@@ -14,9 +14,8 @@ from typing import Annotated, Literal
 import numpy as np
 
 from splitknit.checks import check_image, check_mask
-from splitknit.finger.parameters import HISTOGRAM_BINS, MIN_CELL_PX, WHITE_PERCENTILE
-from splitknit.imaging.band import srgb_code
 from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.pixels import srgb_code
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -41,6 +40,13 @@ class ClaheSettings(Checked):
     white: Literal["skin", "camera"] = "skin"
     """What becomes white first: the brightest ``skin``, or the ``camera``'s full scale, as in the
     thesis author's program; then exposure matters."""
+
+
+_HISTOGRAM_BINS = 256
+"""Bins of the histograms; the mapping between them is interpolated. Chosen on: judgement. Range:
+128 to 512 (validation/parameters)."""
+_MIN_CELL_PX = 8
+"""Smallest side of a cell. Chosen on: judgement. Range: 4 to 16 (validation/parameters)."""
 
 
 def clahe(
@@ -68,15 +74,16 @@ def clahe(
     inside = mask[box]
     white = 1.0
     if settings.white == "skin":
-        white = float(np.percentile(image[box][inside], WHITE_PERCENTILE))
+        # this percentile of the finger becomes white before equalisation
+        white = float(np.percentile(image[box][inside], 99.9))
     grey = np.clip(image[box] / max(white, 1e-12), 0.0, 1.0)
     if settings.grey == "srgb":
         grey = srgb_code(grey)
-    level = grey * (HISTOGRAM_BINS - 1)
-    side = max(MIN_CELL_PX, round(_CELL_PX * px_per_mm / 75.7))
+    level = grey * (_HISTOGRAM_BINS - 1)
+    side = max(_MIN_CELL_PX, round(_CELL_PX * px_per_mm / 75.7))
     cell = side, side
     if settings.tiles:
-        high, wide = (max(MIN_CELL_PX, -(-size // settings.tiles)) for size in grey.shape)
+        high, wide = (max(_MIN_CELL_PX, -(-size // settings.tiles)) for size in grey.shape)
         cell = high, wide
     counts = _histograms(level, inside, cell)
     mappings = _mappings(_borrow(counts, 0.25 * cell[0] * cell[1]), settings.clip_limit)
@@ -88,14 +95,14 @@ def clahe(
 
 
 def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell) -> Array:
-    """Counts (cell rows, cell columns, HISTOGRAM_BINS) over the finger's pixels."""
+    """Counts (cell rows, cell columns, _HISTOGRAM_BINS) over the finger's pixels."""
     rows, columns = (-(-size // side) for size, side in zip(level.shape, cell, strict=True))
-    counts = np.empty((rows, columns, HISTOGRAM_BINS), dtype=np.float64)
+    counts = np.empty((rows, columns, _HISTOGRAM_BINS), dtype=np.float64)
     nearest = (level + 0.5).astype(np.intp)
     for i in range(rows):
         for j in range(columns):
             part = np.s_[i * cell[0] : (i + 1) * cell[0], j * cell[1] : (j + 1) * cell[1]]
-            counts[i, j] = np.bincount(nearest[part][inside[part]], minlength=HISTOGRAM_BINS)
+            counts[i, j] = np.bincount(nearest[part][inside[part]], minlength=_HISTOGRAM_BINS)
     return counts
 
 
@@ -117,7 +124,7 @@ def _borrow(counts: Array, least: float) -> Array:
 def _mappings(counts: Array, clip_limit: float) -> FloatArray:
     """Grey-value mappings in [0, 1], one per cell, from clipped histograms."""
     total = np.maximum(counts.sum(axis=2, keepdims=True), 1.0)
-    clipped = np.minimum(counts, clip_limit * total / HISTOGRAM_BINS)
-    clipped += (total - clipped.sum(axis=2, keepdims=True)) / HISTOGRAM_BINS
+    clipped = np.minimum(counts, clip_limit * total / _HISTOGRAM_BINS)
+    clipped += (total - clipped.sum(axis=2, keepdims=True)) / _HISTOGRAM_BINS
     summed = np.cumsum(clipped, axis=2)
     return np.asarray(summed / summed[..., -1:], dtype=np.float32)

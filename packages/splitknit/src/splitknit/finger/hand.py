@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import ceil
+from typing import Any
 
 import cv2
 import numpy as np
 
+from splitknit.capture import Band, Capture
 from splitknit.errors import require
 from splitknit.finger.mask import finger_masks
-from splitknit.finger.parameters import CUT_MARGIN_MM, HAND_PX_PER_MM, LITTLE_SHORTER_MM
 from splitknit.imaging.areas import blanked, enlarged_box
-from splitknit.imaging.band import linear_survey
-from splitknit.imaging.crop import cropped
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import Band, BoolArray, Capture, PixelArray
+from splitknit.model import BoolArray, PixelArray
+from splitknit.observation.crop import cropped
+from splitknit.observation.observe import observe
 from splitknit.plausible import VIEW
 
 _DIGITS = ("index", "middle", "ring", "little")
@@ -31,9 +32,9 @@ def fingers_apart(
     Each finger is what stands out from the background in one piece. It gets its bounding box with 4
     mm around it; what is nearer to another finger there is filled with the background's brightness.
     Images, lights and camera are otherwise those of the view, in the frame of the part
-    (:func:`splitknit.imaging.crop.cropped`). Raises BadInput if another number of fingers stands
-    apart, the hand cannot be told by the tips, or the scale is unknown; without `keep` also if the
-    tips are those of the other hand. `capture`: pads to the camera, tips up (or as
+    (:func:`splitknit.observation.crop.cropped`). Raises BadInput if another number of fingers
+    stands apart, the hand cannot be told by the tips, or the scale is unknown; without `keep`
+    also if the tips are those of the other hand. `capture`: pads to the camera, tips up (or as
     `tip_direction_deg` says), background between them. `names`: of the fingers from left to right
     in the picture; or ``right``, ``left``: index to little finger of that hand; or ``auto``: the
     hand follows from which end of the four has the shorter finger, the little one.
@@ -44,8 +45,9 @@ def fingers_apart(
         "fingers are told apart by their size: give the scale, `px_per_mm`.",
     )
     VIEW.notes(max(capture.shape) / scale, f"check the scale of {scale:g} px/mm (`px_per_mm`)")
-    binning = max(1, int(scale / HAND_PX_PER_MM))
-    mean, _ = linear_survey(capture.bands["white"], capture.encoding, binning)
+    # several fingers are searched for on images reduced to about this scale
+    binning = max(1, int(scale / 10.0))
+    mean, _ = observe(capture).white.at(binning).survey()
     parts = finger_masks(mean, scale / binning)
     turn = np.deg2rad(capture.tip_direction_deg or 0.0)
     # of rows, columns: right, up
@@ -59,7 +61,8 @@ def fingers_apart(
     _, nearest = cv2.distanceTransformWithLabels(beside, cv2.DIST_L2, cv2.DIST_MASK_5)
     fingers = {}
     for name, (_, part) in zip(named, places, strict=True):
-        box = bounding_box(part, ceil(CUT_MARGIN_MM * scale / binning))
+        # background that is kept around each finger, where the view has it
+        box = bounding_box(part, ceil(4.0 * scale / binning))
         own = cropped(capture, enlarged_box(box, binning, mean.shape[:2], capture.shape))
         near = np.isin(nearest[box], np.unique(nearest[part])).astype(np.uint8)
         inside = cv2.resize(near, own.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
@@ -83,7 +86,8 @@ def _named(names: str | Sequence[str], tips_mm: Sequence[float], keep: bool) -> 
     if isinstance(names, str):
         lower = tips_mm[0] - tips_mm[-1]
         hand = names
-        clear = abs(lower) >= LITTLE_SHORTER_MM
+        # the little finger's tip lies at least this far behind the tip of the index finger
+        clear = abs(lower) >= 3.0
         seen = "right" if lower < 0 else "left"
         if hand == "auto":
             require(clear, "the outer tips lie equally far up: give `fingers` left or right.")
@@ -105,8 +109,10 @@ def _named(names: str | Sequence[str], tips_mm: Sequence[float], keep: bool) -> 
 def _alone(band: Band, inside: BoolArray, px_per_mm: float) -> Band:
     """The band with the background's brightness outside `inside`."""
 
-    def own(pixels: PixelArray) -> PixelArray:
-        return np.stack([blanked(image, inside, px_per_mm) for image in pixels])
+    def own(image: PixelArray) -> Any:
+        return blanked(image, inside, px_per_mm)
 
-    ambient = None if band.ambient is None else own(band.ambient[None])[0]
-    return replace(band, pixels=own(band.pixels), ambient=ambient)
+    ambient = band.ambient
+    if ambient is not None:
+        ambient = replace(ambient, pixels=own(ambient.pixels))
+    return replace(band, pixels=np.stack(list(map(own, band.pixels))), ambient=ambient)

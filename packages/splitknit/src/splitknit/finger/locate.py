@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -14,23 +15,18 @@ import numpy as np
 from splitknit.errors import BadInput, require
 from splitknit.findings import Finding, Severity
 from splitknit.finger.mask import (
+    MIN_OBJECT_CONTOUR,
+    BeyondView,
     MaskSettings,
     NoFinger,
-    check_borders,
     finger_mask,
     finger_masks,
+    left_out_part,
     object_before_wall,
     touched_borders,
 )
 from splitknit.finger.motion import MotionSettings, motion_findings, shot_motion
 from splitknit.finger.orientation import Upright, as_it_lies, find_upright
-from splitknit.finger.parameters import (
-    BEYOND_CREASE_MM,
-    MIN_OBJECT_CONTOUR,
-    QUALITY_MARGIN_MM,
-    SURVEY_PX_PER_MM,
-    SURVEY_SIDE,
-)
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
 from splitknit.finger.quality import (
     capture_quality,
@@ -38,26 +34,41 @@ from splitknit.finger.quality import (
     photometric_mask,
     quality_findings,
 )
-from splitknit.finger.regions import reduce_image, reduction
+from splitknit.finger.regions import dilate, reduce_image, reduction
 from splitknit.imaging.areas import without_mirrors
-from splitknit.imaging.band import (
-    Window,
-    ambient_light,
-    grey_as_grey,
-    has_colour,
-    linear_stack,
-    linear_survey,
-    pick_channel,
-    saturation_levels,
-)
-from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
 from splitknit.imaging.geometry import bounding_box, enlarged
 from splitknit.imaging.light_field import few_lights
-from splitknit.model import BoolArray, Capture, FloatArray
-from splitknit.parameters import IN_MEMORY
+from splitknit.imaging.pixels import Window, pick_channel
+from splitknit.model import BoolArray, FloatArray
+from splitknit.observation.coloured import LightsSettings, colour_factors
+from splitknit.observation.light import LIGHT_BYTES
+from splitknit.observation.observe import Observation
 from splitknit.plausible import FINGER_WIDTH
 from splitknit.settings import Checked
 
+MUCH_LEFT_OUT = 0.05
+"""Fraction of an object from which it is said to be left out: 0.3 of a key, 0 to 0.02 of rounder
+things. Source: validation/objects (glossy)."""
+_NO_FINGER = (
+    "no finger was found in the white images ({}): nothing stands out from the background in colour"
+    " or brightness; check the exposure, the LEDs, the dark background and the scale, or give a"
+    " mask."
+)
+_NO_OBJECT = (
+    "no object was found in the photographs ({}): nothing stands out from the background in colour"
+    " or brightness; check the exposure, the LEDs, the dark background and the scale, or give a"
+    " mask (`mask` all, where the object fills the view)."
+)
+_OBJECT_BEYOND_VIEW = (
+    "the object touches three borders of the image or all: move it back so that all of it is in"
+    " view, or give a mask (`mask` all, where the object fills the view)."
+)
+_MUCH_SMALLER = 0.2  # of an object that reaches a border: a whole one of that area is meant instead
+_OTHER_LEFT_OUT = Finding(
+    "background-left-out",
+    "a larger thing reaches a border of the image and was left out: see in the report that the"
+    " object is the one you mean, or give a `mask`.",
+)
 _WALL_LEFT_OUT = Finding(
     "background-left-out",
     "what lies behind the object reaches a border of the image and was left out, being far darker:"
@@ -108,57 +119,49 @@ class Finger:
         return self.wider[self.window]
 
 
-def prepared_capture(
-    capture: Capture, settings: FingerSettings
-) -> tuple[Capture, tuple[Finding, ...]]:
-    """The capture under the settings' camera model and lights, and notes. Raises BadInput as
-    :func:`as_lit`."""
-    bands = {name: grey_as_grey(band) for name, band in capture.bands.items()}
-    if any(band is not capture.bands[name] for name, band in bands.items()):
-        capture = replace(capture, bands=bands)
-    camera = capture.rig.camera
-    if settings.camera == "orthographic" and camera.model != "orthographic":
-        plain = replace(camera, model="orthographic", matrix=None, distortion=None)
-        capture = replace(capture, rig=replace(capture.rig, camera=plain))
-    return as_lit(capture, settings.lights)
+SURVEY_PX_PER_MM = 26.0
+"""The finger is searched for on images reduced to about this scale. Chosen on: speed."""
+BEYOND_CREASE_MM = 2.5
+"""Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange
+under the skin. Chosen on: judgement. Range: 1.25 to 5 (validation/parameters)."""
 
 
-def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
+def find_finger(observation: Observation, settings: FingerSettings) -> Finger:
     """Mask, orientation, crease and quality, on images of about 26 px/mm.
 
     An opaque thing is not a finger: it is not cut at a crease, may touch every border, and stays as
-    it lies unless the capture gives a `tip_direction_deg`. Raises BadInput if there is no finger,
-    or it touches three borders.
+    it lies unless a `tip_direction_deg` is given. Raises BadInput if there is no finger, or it
+    touches three borders.
     """
-    px_per_mm = capture.rig.camera.px_per_mm
-    white = capture.bands["white"]
-    rows, columns = capture.shape
+    px_per_mm = observation.rig.camera.px_per_mm
+    white = observation.white
+    rows, columns = observation.shape
     # 200 photographs are many
-    fits = math.ceil(math.sqrt(4.0 * len(white.lights) * rows * columns / IN_MEMORY))
-    binning = max(
-        1, min(int(px_per_mm / SURVEY_PX_PER_MM), min(rows, columns) // SURVEY_SIDE), fits
-    )
-    mean, stack = linear_survey(white, capture.encoding, binning)
+    fits = math.ceil(math.sqrt(4.0 * len(white.lights) * rows * columns / LIGHT_BYTES))
+    # the reduced images keep this many pixels a side, where the image has them, whatever scale was
+    # stated
+    binning = max(1, min(int(px_per_mm / SURVEY_PX_PER_MM), min(rows, columns) // 64), fits)
+    mean, stack = white.at(binning).survey()
     grey = pick_channel(mean, "grey")
-    image = mean if has_colour(white) else grey
+    image = mean if white.has_colour else grey
     small_px = px_per_mm / binning
-    skin = capture.material == "skin"
-    stated_mask = capture.mask is not None
+    skin = observation.material == "skin"
+    stated_mask = observation.mask is not None
     wall: tuple[Finding, ...] = ()
-    if capture.mask is not None:
-        outline = reduced(capture.mask, grey.shape)
+    if observation.mask is not None:
+        outline = reduced(observation.mask, grey.shape)
         require(
             outline.any(),
             "the given mask is too small: not one block of pixels lies inside it; mark all of it.",
         )
     else:
-        outline, wall = _outline(capture, image, stack, binning, settings.mask.method)
-    quality, of_quality = _quality(capture, stack, outline, binning)
-    stated = capture.tip_direction_deg is not None
-    searched = skin and not stated and not capture.rig.mirrors
+        outline, wall = _outline(observation, image, stack, binning, settings.mask.method)
+    quality, of_quality = _quality(observation, stack, outline, binning)
+    stated = observation.tip_direction_deg is not None
+    searched = skin and not stated and not observation.rig.mirrors
     upright = as_it_lies(outline)
     if skin or stated:
-        direction = None if searched else capture.tip_direction_deg or 0.0
+        direction = None if searched else observation.tip_direction_deg or 0.0
         upright = find_upright(outline, direction, all_rows=settings.yaw == "all_rows")
     crease = Crease()
     if skin:
@@ -166,18 +169,16 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         crease = find_crease(grey, outline, upright, small_px, equalised=equalised)
     cut = bool(settings.cut_at_crease) and not stated_mask and skin
     kept = usable = phalange_mask(outline, crease, upright) if cut else outline
-    if capture.mask is not None:
-        mask = wide = np.asarray(capture.mask)
+    if observation.mask is not None:
+        mask = wide = np.asarray(observation.mask)
     else:
-        usable = photometric_mask(
-            stack, kept, small_px, saturation=saturation_levels(white, capture.encoding)
-        )
+        usable = photometric_mask(stack, kept, small_px, saturation=white.clips_at)
         beyond = crease._replace(row=crease.row + BEYOND_CREASE_MM * small_px)
         wider = phalange_mask(outline, beyond, upright) if cut else outline
-        wide = enlarged_mask(wider & (usable | ~kept), capture.shape, binning)
-        mask = enlarged_mask(usable, capture.shape, binning) & wide
+        wide = enlarged_mask(wider & (usable | ~kept), observation.shape, binning)
+        mask = enlarged_mask(usable, observation.shape, binning) & wide
     findings: list[Finding] = []
-    if skin and not stated_mask and not capture.rig.mirrors:
+    if skin and not stated_mask and not observation.rig.mirrors:
         findings += _other_fingers(image, small_px)
     findings += wall
     findings += (
@@ -214,15 +215,22 @@ def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
         count = len(finger_masks(reduce_image(image, scale), px_per_mm * scale))
     except BadInput:
         return ()
-    words = (
-        f"the view shows {count} fingers, of which one is reconstructed: cut them apart with"
-        " 'splitknit import CAPTURE --fingers auto --out HAND'."
+    return (
+        (
+            Finding(
+                "several-fingers",
+                f"the view shows {count} fingers, of which one is reconstructed: cut them apart"
+                " with 'splitknit import CAPTURE --fingers auto --out HAND'.",
+                Severity.DOUBT,
+            ),
+        )
+        if count > 1
+        else ()
     )
-    return (Finding("several-fingers", words, Severity.DOUBT),) if count > 1 else ()
 
 
 def _outline(
-    capture: Capture,
+    observation: Observation,
     image: FloatArray,
     stack: FloatArray,
     binning: int,
@@ -230,38 +238,67 @@ def _outline(
 ) -> tuple[BoolArray, tuple[Finding, ...]]:
     """Mask of the finger itself, not of its mirror images, in the mean of the white images; of an
     object, without the wall behind it, and a note where one was left out."""
-    camera = capture.rig.camera
-    if capture.rig.mirrors:
-        mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
+    camera = observation.rig.camera
+    if observation.rig.mirrors:
+        mirrors = {mirror.name: mirror for mirror in observation.rig.mirrors}
         image = without_mirrors(image, camera, mirrors, binning)
+    skin = observation.material == "skin"
     try:
         outline = finger_mask(image, camera.px_per_mm / binning, method)
-    except BadInput as error:
-        words = str(error)
-        if capture.material == "opaque":
-            part = object_before_wall(stack)
-            if part is not None:
-                return part, (_WALL_LEFT_OUT,)
-            words = words.replace("no finger", "no object").replace("the finger", "the object")
-            words = words.replace("its tip and both sides are", "all of it is")
-            words = words.replace(
-                "or give a mask", "or give a mask (`mask` all, where the object fills the view)"
-            )
-        if not camera.scale_known or not isinstance(error, NoFinger):
-            raise type(error)(words) from error
-        rows_mm, columns_mm = (side / camera.px_per_mm for side in capture.shape)
-        shows = (
-            f"by whose {camera.px_per_mm:g} px/mm the images show {columns_mm:.3g} x"
-            f" {rows_mm:.3g} mm"
-        )
-        raise BadInput(words.replace(" or give", f" and the scale, {shows}, or give")) from error
-    if capture.material == "skin":
-        check_borders(outline)
-    elif touched_borders(outline):
-        part = object_before_wall(stack)
-        if part is not None and float(outline[part].mean()) > MIN_OBJECT_CONTOUR:
+    except (NoFinger, BeyondView) as error:
+        part = None if skin else object_before_wall(stack)
+        if part is not None:
             return part, (_WALL_LEFT_OUT,)
-    return outline, ()
+        if isinstance(error, BeyondView):
+            if skin:
+                raise
+            raise BadInput(_OBJECT_BEYOND_VIEW) from error
+        rows_mm, columns_mm = (side / camera.px_per_mm for side in observation.shape)
+        view = f"{columns_mm:.3g} x {rows_mm:.3g} mm at {camera.px_per_mm:g} px/mm"
+        words = _NO_FINGER if skin else _NO_OBJECT
+        raise BadInput(words.format(view if camera.scale_known else "of unknown scale")) from error
+    if skin:
+        return outline, ()
+    if touched_borders(outline):
+        part = object_before_wall(stack)
+        if part is not None and outline[part].mean() > MIN_OBJECT_CONTOUR:
+            return part, (_WALL_LEFT_OUT,)
+        whole = _whole_object(image, outline, camera.px_per_mm / binning, method)
+        if whole is not None:
+            return whole, (_OTHER_LEFT_OUT,)
+    return outline, _left_out(image, outline)
+
+
+def _whole_object(
+    image: FloatArray, outline: BoolArray, px_per_mm: float, method: Literal["grown", "kmeans"]
+) -> BoolArray | None:
+    """Another object than the outlined one, which touches a border, that touches none and is not
+    much smaller; None where there is none."""
+    beside = dilate(outline, 0.05 * max(outline.shape))
+    ground = np.median(image[~beside], axis=0) if not beside.all() else 0.0
+    covered = beside if image.ndim == 2 else beside[..., None]
+    with suppress(NoFinger, BeyondView):
+        whole = finger_mask(np.where(covered, ground, image), px_per_mm, method)
+        if not touched_borders(whole) and whole.sum() > _MUCH_SMALLER * outline.sum():
+            return whole
+    return None
+
+
+def _left_out(image: FloatArray, outline: BoolArray) -> tuple[Finding, ...]:
+    """A doubt where the outline that was found holds only a part of an object."""
+    part = left_out_part(image, outline)
+    return (
+        (
+            Finding(
+                "part-left-out",
+                f"the outline that was found leaves out {100 * part:.0f} % of the object, which is"
+                " narrow there: give a `mask`.",
+                Severity.DOUBT,
+            ),
+        )
+        if part > MUCH_LEFT_OUT
+        else ()
+    )
 
 
 def _check_width(mask: BoolArray, px_per_mm: float, stated: bool) -> tuple[Finding, ...]:
@@ -291,39 +328,38 @@ def _check_width(mask: BoolArray, px_per_mm: float, stated: bool) -> tuple[Findi
 
 
 def _quality(
-    capture: Capture, white: FloatArray, outline: BoolArray, binning: int
+    observation: Observation, white: FloatArray, outline: BoolArray, binning: int
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Quality figures and findings of every band, on images reduced by `binning`."""
-    px_per_mm = capture.rig.camera.px_per_mm / binning
-    rows, columns = bounding_box(outline, round(QUALITY_MARGIN_MM * px_per_mm))
+    px_per_mm = observation.rig.camera.px_per_mm / binning
+    # background around the finger that quality is measured with: the widest filter that measures
+    # motion reaches so far
+    rows, columns = bounding_box(outline, round(3.0 * px_per_mm))
     window = (
         slice(rows.start * binning, rows.stop * binning),
         slice(columns.start * binning, columns.stop * binning),
     )
     inside = outline[rows, columns]
-    skin = capture.material == "skin"
-    promised = skin or not capture.rig.intensities_assumed
+    skin = observation.material == "skin"
+    promised = skin or not observation.rig.intensities_assumed
 
     def of_band(name: str) -> tuple[dict[str, Any], list[Finding]]:
-        band = capture.bands[name]
-        stack = white[:, rows, columns]
-        if name != "white":
-            stack = linear_stack(band, capture.encoding, "grey", window, binning)
-        lights = capture.rig.select(band.lights).light_vectors()
-        if band.colours:  # skin is brighter in red than in blue, whatever the LEDs are
-            lights = lights * colour_factors_of(stack, capture.rig, band, inside)[:, None]
-        light = ambient_light(band, capture.encoding, window, binning)
+        light = observation.bands[name].at(binning, window)
+        stack = white[:, rows, columns] if name == "white" else light.grey
+        lights = light.rig.light_vectors()
+        if light.colours:  # skin is brighter in red than in blue, whatever the LEDs are
+            lights = lights * colour_factors(stack, light.rig, inside)[:, None]
         figures = capture_quality(
             stack,
             inside,
             px_per_mm,
             finger=skin,
             lights=lights,
-            ambient=None if light is None else np.maximum(pick_channel(light, "grey"), 0.0),
-            saturation=saturation_levels(band, capture.encoding),
+            ambient=None if (dark := light.ambient) is None else np.maximum(dark, 0.0),
+            saturation=light.clips_at,
         )
         figures |= outline_figures(outline, px_per_mm)
-        names = band.image_names
+        names = light.image_names
         findings = [
             *few_lights(lights),
             *quality_findings(figures, finger=skin, names=names, promised=promised),
@@ -338,7 +374,7 @@ def _quality(
         ]
 
     with ThreadPoolExecutor(2) as pool:
-        bands = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))
+        bands = dict(zip(observation.bands, pool.map(of_band, observation.bands), strict=True))
     quality = {name: figures for name, (figures, _) in bands.items()}
     return quality, tuple(finding for _, findings in bands.values() for finding in findings)
 
@@ -354,11 +390,17 @@ def reduced(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
 def _at_border(outline: BoolArray, stated: bool) -> tuple[Finding, ...]:
     """A note where the outline that was found of an object touches a border of the image."""
     borders = () if stated else touched_borders(outline)
-    words = (
-        f"the outline that was found touches a border of the image ({', '.join(borders)}): see in"
-        " the report that it is the object's alone, or give a `mask`."
+    return (
+        (
+            Finding(
+                "outline-at-border",
+                f"the outline that was found touches a border of the image ({', '.join(borders)}):"
+                " see in the report that it is the object's alone, or give a `mask`.",
+            ),
+        )
+        if borders
+        else ()
     )
-    return (Finding("outline-at-border", words),) if borders else ()
 
 
 def enlarged_mask(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:

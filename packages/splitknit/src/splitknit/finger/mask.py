@@ -9,41 +9,15 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.finger.parameters import (
-    BACKGROUND_SAMPLES,
-    BRIGHT_BACKGROUND,
-    COARSE_PX_PER_MM,
-    COLOURED_BACKGROUND,
-    CONTOUR_REACH,
-    EDGE_FRACTION,
-    EDGE_MARGIN_MM,
-    FEW_BACKGROUND_SAMPLES,
-    FINE_PX_PER_MM,
-    MIN_EDGE_STEP,
-    MIN_FINGER_AREA,
-    MIN_OBJECT_AREA,
-    MIN_OBJECT_CONTOUR,
-    MIN_OBJECT_STEP,
-    MIN_SHADING_DEG,
-    MIN_WIDTH_MM,
-    NOISE_FACTOR,
-    OBJECT_SPLITS,
-    OUTLINE_BLUR_MM,
-    OUTLINE_PX_PER_MM,
-    OUTLINE_SPECK_MM,
-    ROUGH_PX_PER_MM,
-    SEED_BLUR_MM,
-    SPUR_FRACTION,
-)
 from splitknit.finger.regions import (
     blur,
+    border,
     depth_inside,
     dilate,
     distance_outside,
@@ -55,7 +29,8 @@ from splitknit.finger.regions import (
     remove_specks,
     remove_spurs,
 )
-from splitknit.imaging.geometry import wide_blur
+from splitknit.imaging.geometry import local_mean
+from splitknit.imaging.robust import deviation
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked
 from splitknit.steps import keep
@@ -70,6 +45,10 @@ class NoFinger(BadInput):
     """Nothing in the images stands out as a finger does."""
 
 
+class BeyondView(BadInput):
+    """What stands out touches three borders of the image, or all."""
+
+
 @dataclass(frozen=True, slots=True)
 class MaskSettings(Checked):
     """How the finger is separated from the background."""
@@ -77,6 +56,11 @@ class MaskSettings(Checked):
     method: Literal["grown", "kmeans"] = "grown"
     """``grown``: from a seed by k-means to whatever rises from the background; ``kmeans``: the
     thesis's two clusters of the chromaticity alone."""
+
+
+_SEED_BLUR_MM = 0.25
+"""Gaussian blur (sigma) of the chromaticity before clustering. Chosen on: judgement. Range: 0.125
+to 0.5 (validation/parameters)."""
 
 
 def finger_mask(
@@ -98,29 +82,34 @@ def finger_mask(
     """
     image = _checked(mean_image)
     size = image.shape[:2]
-    fine_scale = reduction(size, px_per_mm, FINE_PX_PER_MM, 1200)
+    # scale of the copy on which the outline is traced
+    fine_scale = reduction(size, px_per_mm, 20.0, 1200)
     fine = reduce_image(image, fine_scale)
     fine_px = px_per_mm * fine_scale
     if method == "kmeans":
-        cluster = _seed(fine, SEED_BLUR_MM * fine_px, _without_spurs, colour_alone=True)
+        cluster = _seed(fine, _SEED_BLUR_MM * fine_px, _without_spurs, colour_alone=True)
         mask = largest_component(fill_holes(_enlarged(cluster, size)))
         check_borders(mask)
         return mask
-    coarse_scale = reduction(fine.shape[:2], fine_px, COARSE_PX_PER_MM, 600)
+    # scale of the copy that is clustered
+    coarse_scale = reduction(fine.shape[:2], fine_px, 10.0, 600)
     coarse_px = fine_px * coarse_scale
-    coarse = blur(reduce_image(fine, coarse_scale), 0.5 * SEED_BLUR_MM * coarse_px)
+    coarse = blur(reduce_image(fine, coarse_scale), 0.5 * _SEED_BLUR_MM * coarse_px)
     bright = coarse
     weights = _colour_filter(coarse)
     if weights is not None:
-        coarse = _filtered(coarse, weights)
-        fine = _filtered(fine, weights)
+        coarse, fine = coarse @ weights, fine @ weights
     try:
-        rough = _coarse_mask(coarse, coarse_px, BACKGROUND_SAMPLES)
-    except BadInput:
+        rough = _coarse_mask(coarse, coarse_px)
+    except NoFinger:
         # so close that there is more finger than background along the border
-        check_borders(_bright_side(bright))
+        light = _brightness(bright)
+        second, split = _two_means(light.reshape(-1, 1))
+        part = _brighter(second.reshape(light.shape), light)
+        if split and light[part].mean() > 3.0 * max(float(light[~part].mean()), 0.0):
+            check_borders(largest_component(part))
         raise
-    mask = _fine_outline(fine, rough, size, fine_px, BACKGROUND_SAMPLES)
+    mask = _fine_outline(fine, rough, size, fine_px)
     check_borders(mask)
     return mask
 
@@ -129,9 +118,10 @@ def finger_region(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
     """Roughly where the finger is, to a pixel of the coarse copy: the first step of
     :func:`finger_mask`, which see."""
     image = _checked(mean_image)
-    scale = reduction(image.shape[:2], px_per_mm, ROUGH_PX_PER_MM, 600)
-    coarse = blur(reduce_image(image, scale), 0.5 * SEED_BLUR_MM * px_per_mm * scale)
-    mask = _coarse_mask(coarse, px_per_mm * scale, FEW_BACKGROUND_SAMPLES)
+    # scale of the copy on which a finger is located roughly, where time counts
+    scale = reduction(image.shape[:2], px_per_mm, 5.5, 600)
+    coarse = blur(reduce_image(image, scale), 0.5 * _SEED_BLUR_MM * px_per_mm * scale)
+    mask = _coarse_mask(coarse, px_per_mm * scale)
     check_borders(mask)
     return _enlarged(mask, image.shape[:2])
 
@@ -143,14 +133,12 @@ def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -
     """
     image = _checked(mean_image)
     require(rough.any(), _NO_FINGER, NoFinger)
-    scale = reduction(image.shape[:2], px_per_mm, OUTLINE_PX_PER_MM, 1200)
-    return _fine_outline(
-        reduce_image(image, scale),
-        rough,
-        image.shape[:2],
-        px_per_mm * scale,
-        FEW_BACKGROUND_SAMPLES,
-    )
+    # scale of the copy on which the outline around a rough mask is traced
+    scale = reduction(image.shape[:2], px_per_mm, 10.0, 1200)
+    return _fine_outline(reduce_image(image, scale), rough, image.shape[:2], px_per_mm * scale)
+
+
+_MIN_WIDTH_MM = 4.0  # a region that is nowhere as wide as this is not a finger
 
 
 def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
@@ -158,20 +146,36 @@ def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
     the clusters of :func:`finger_mask`, of 4 mm and a fifth of the largest one's area at least.
     Raises BadInput if there is none.
     """
-    image = blur(_checked(mean_image), 0.5 * SEED_BLUR_MM * px_per_mm)
+    image = blur(_checked(mean_image), 0.5 * _SEED_BLUR_MM * px_per_mm)
     weights = _colour_filter(image)
-    radius = 0.5 * MIN_WIDTH_MM * px_per_mm
+    radius = 0.5 * _MIN_WIDTH_MM * px_per_mm
 
     def wide(cluster: BoolArray) -> BoolArray:
         filled = fill_holes(cluster)
         return filled & dilate(erode(filled, radius), 1.15 * radius)
 
-    mask = _seed(
-        image if weights is None else _filtered(image, weights), SEED_BLUR_MM * px_per_mm, wide
-    )
+    mask = _seed(image if weights is None else image @ weights, _SEED_BLUR_MM * px_per_mm, wide)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
-    return [labels == 1 + k for k in np.flatnonzero(areas >= MIN_FINGER_AREA * areas.max())]
+    # smallest area of a finger, over that of the largest finger in view
+    return [labels == 1 + k for k in np.flatnonzero(areas >= 0.2 * areas.max())]
+
+
+_SPUR_FRACTION = 0.4  # parts narrower than this fraction of the finger's own width are cut off
+_OBJECT_SPLITS = 3
+"""How often the brighter part is split again while it touches a border of the image. Chosen on:
+drawn scenes (tests/finger/test_object.py)."""
+_MIN_OBJECT_STEP = 2.0
+"""An object is at least so many times as bright as what lies beyond its outline, in ratio. Chosen
+on: drawn scenes (tests/finger/test_object.py)."""
+MIN_OBJECT_CONTOUR = 0.9
+"""Least part of its outline along which it is. Chosen on: drawn scenes
+(tests/finger/test_object.py)."""
+_CONTOUR_REACH = 0.01
+"""How far on either side of its outline both are measured, in longer sides of the image."""
+_MIN_SHADING_DEG = 4.0
+"""Least median angle between the brightness over the lights of an object's pixels and its mean, in
+degrees. Chosen on: drawn scenes (tests/finger/test_object.py)."""
 
 
 def object_before_wall(stack: FloatArray) -> BoolArray | None:
@@ -190,56 +194,76 @@ def object_before_wall(stack: FloatArray) -> BoolArray | None:
     floor = 1e-3 * max(float(brightest.max()), 1e-12)
     level = np.log(np.maximum(brightest, floor))
     part = np.ones(level.shape, dtype=np.bool_)
-    for _ in range(OBJECT_SPLITS):  # black beside a dim wall is split off first
+    for _ in range(_OBJECT_SPLITS):  # black beside a dim wall is split off first
         bright = np.zeros_like(part)
-        bright[part] = _bright_cluster(level[part])
+        bright[part] = _brighter(_two_means(level[part][:, None])[0], level[part])
         if not bright.any():
             return None
-        part = remove_spurs(fill_holes(largest_component(bright)), SPUR_FRACTION)
-        if not _border(part).any():
+        part = remove_spurs(fill_holes(largest_component(bright)), _SPUR_FRACTION)
+        if not border(part).any():
             break
-    if part.mean() < MIN_OBJECT_AREA or _border(part).any():
+    # smallest object that is told from what lies behind it, in fraction of the image
+    if part.mean() < 0.02 or border(part).any():
         return None
-    reach = max(4.0, CONTOUR_REACH * max(part.shape))
-    inside, cover = _local_mean(brightest, part & ~erode(part, reach), 0.5 * reach)
+    reach = max(4.0, _CONTOUR_REACH * max(part.shape))
+    inside, cover = local_mean(brightest, part & ~erode(part, reach), 0.5 * reach)
     contour = dilate(part, reach) & ~dilate(part, 0.5 * reach)
-    apart = (inside > MIN_OBJECT_STEP * brightest) & (cover > 1e-3)
-    if float(apart[contour].mean()) < MIN_OBJECT_CONTOUR:
+    apart = (inside > _MIN_OBJECT_STEP * brightest) & (cover > 1e-3)
+    if apart[contour].mean() < MIN_OBJECT_CONTOUR:
         return None
     profiles = stack[:, part]
-    profiles = profiles / np.maximum(np.sqrt(np.square(profiles).sum(axis=0)), floor)
+    profiles = profiles / np.maximum(np.linalg.norm(profiles, axis=0), floor)
     mean = profiles.mean(axis=1)
-    cosine = np.einsum("ln,l->n", profiles, mean / np.sqrt(np.square(mean).sum()))
+    cosine = (mean / np.linalg.norm(mean)) @ profiles
     turn_deg = np.degrees(np.arccos(np.clip(np.median(cosine), 0.0, 1.0)))
-    return part if turn_deg > MIN_SHADING_DEG else None
+    return part if turn_deg > _MIN_SHADING_DEG else None
 
 
-def _bright_cluster(values: FloatArray) -> BoolArray:
-    """Membership of the upper of two clusters of values (N,)."""
-    second, _ = _two_means(values[:, None])
+CLEARLY_BRIGHT = 4.0
+"""Brightness of an object over its ground from which what is left out of it shows: 9 to 80 on a
+dark ground. Source: validation/objects (glossy)."""
+
+
+def left_out_part(image: FloatArray, outline: BoolArray) -> float:
+    """Fraction of an object that its `outline` leaves out, as the narrow blade of a key: what is as
+    bright in the mean image, joins the outline and reaches no border of the image.
+    """
+    brightness = blur(_brightness(image), 1.0)
+    inside = float(np.median(brightness[outline]))
+    ground = float(np.median(brightness[~outline])) if not outline.all() else inside
+    if inside <= CLEARLY_BRIGHT * ground:
+        return 0.0
+    reach = max(2.0, 0.5 * _CONTOUR_REACH * max(outline.shape))
+    beside = (brightness > np.sqrt(inside * max(ground, 1e-3 * inside))) & ~outline
+    parts = cv2.connectedComponents(dilate(erode(beside, reach), reach).astype(np.uint8))[1]
+    joined = np.setdiff1d(parts[dilate(outline, 3.0 * reach)], [0, *border(parts)])
+    area = int(np.isin(parts, joined).sum())
+    return area / (area + int(outline.sum()))
+
+
+def _brighter(second: BoolArray, brightness: FloatArray) -> BoolArray:
+    """Whichever of two clusters is the brighter one."""
     if not second.any() or second.all():
-        return np.zeros_like(second)
-    return second if values[second].mean() > values[~second].mean() else ~second
+        return second
+    return second if brightness[second].mean() > brightness[~second].mean() else ~second
 
 
 def touched_borders(mask: BoolArray) -> tuple[str, ...]:
     """Names of the image borders that `mask` reaches along at least 1 % of their length."""
     sides = {"top": mask[0], "bottom": mask[-1], "left": mask[:, 0], "right": mask[:, -1]}
-    return tuple(
-        name for name, line in sides.items() if int(line.sum()) >= max(3, 0.01 * line.size)
-    )
+    return tuple(name for name, line in sides.items() if line.sum() >= max(3, 0.01 * line.size))
 
 
-def check_borders(mask: BoolArray) -> tuple[str, ...]:
-    """The borders that `mask` touches: one where the finger enters, or two across a corner.
-    BadInput for more."""
+def check_borders(mask: BoolArray) -> None:
+    """BeyondView if `mask` touches more borders than one where the finger enters, or two across a
+    corner."""
     touched = touched_borders(mask)
     require(
         len(touched) < 3,
         f"the finger touches {len(touched)} borders of the image ({', '.join(touched)}): "
         "move it back so that its tip and both sides are in view, or give a mask.",
+        BeyondView,
     )
-    return touched
 
 
 def _checked(image: FloatArray) -> FloatArray:
@@ -299,68 +323,38 @@ def _seed(
 
 
 def _without_spurs(cluster: BoolArray) -> BoolArray:
-    return remove_spurs(fill_holes(cluster), SPUR_FRACTION)
+    return remove_spurs(fill_holes(cluster), _SPUR_FRACTION)
 
 
 def _finger_cluster(second: BoolArray, brightness: FloatArray) -> BoolArray:
     """Whichever side holds less of the image's border; the brighter one where both hold about as
     much."""
-    fraction = float(_border(second).mean())
+    fraction = float(border(second).mean())
     if abs(fraction - 0.5) > 0.1:
         return second if fraction < 0.5 else ~second
-    if not second.any() or second.all():
-        return second
-    return (
-        second if float(brightness[second].mean()) > float(brightness[~second].mean()) else ~second
-    )
-
-
-def _border(image: NDArray[Any]) -> NDArray[Any]:
-    """Pixels along the image's border; those of the corners twice."""
-    return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
-
-
-def _bright_side(image: FloatArray) -> BoolArray:
-    """Whatever is far brighter than the rest of the image (nothing, where no such split shows)."""
-    brightness = _brightness(image)
-    second = _two_means(brightness.reshape(-1, 1))[0].reshape(brightness.shape)
-    levels = [float(brightness[part].mean()) if part.any() else 0.0 for part in (second, ~second)]
-    bright = second if levels[0] > levels[1] else ~second
-    return (
-        largest_component(bright)
-        if max(levels) > 3.0 * max(min(levels), 0.0)
-        else np.zeros_like(bright)
-    )
+    return _brighter(second, brightness)
 
 
 def _two_means(features: FloatArray) -> tuple[BoolArray, float]:
-    """Membership (N,) of the second of two clusters of features (N, D), by Lloyd's algorithm (IEEE
-    Trans. IT 28(2), 1982) from a split at the middle of the direction of greatest variance; and the
-    distance of the two means over the pooled standard deviation along it. The same answer every
-    time.
+    """Membership (N,) of the second of two clusters of features (N, D), from a split at the middle
+    of the feature that varies most, the same every time; and the distance of the two means over the
+    pooled standard deviation along it.
     """
-    values = np.ascontiguousarray(features.T, dtype=np.float64)
-    centred = values - values.mean(axis=1)[:, None]
-    axis = np.linalg.eigh(np.einsum("in,jn->ij", centred, centred))[1][:, -1]
-    along = np.einsum("in,i->n", centred, axis)
-    second = along > 0.5 * float(np.percentile(along, [1.0, 99.0]).sum())
-    for _ in range(30):
-        count = int(np.count_nonzero(second))
-        if count in {0, second.size}:
-            return second, 0.0
-        # of the first: what makes the sum zero
-        mean = np.einsum("in,n->i", centred, second.astype(np.float64)) / count
-        axis = mean * (second.size / (second.size - count))
-        along = np.einsum("in,i->n", centred, axis)
-        updated = along > float(np.sum(axis * mean)) - 0.5 * float(np.sum(axis * axis))
-        if (updated == second).all():
-            break
-        second = updated
-    distance = float(np.sqrt(np.sum(axis * axis)))
+    if len(features) < 2:
+        return np.zeros(len(features), dtype=np.bool_), 0.0
+    values = np.ascontiguousarray(features - features.mean(axis=0))
+    widest = values[:, values.var(axis=0).argmax()]
+    start = (widest > 0.5 * np.percentile(widest, [1.0, 99.0]).sum()).astype(np.int32)[:, None]
+    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 1e-5)
+    _, labels, means = cv2.kmeans(values, 2, start, criteria, 1, cv2.KMEANS_USE_INITIAL_LABELS)
+    second = labels.ravel() > 0
+    axis = means[1] - means[0]
+    distance = float(np.linalg.norm(axis))
     if distance == 0.0 or not second.any() or second.all():
         return second, 0.0
-    spread = (along[~second].var() + along[second].var()) / distance**2
-    return second, distance / float(np.sqrt(0.5 * spread) + 1e-9)
+    along = values @ (axis / distance)
+    spread = 0.5 * (along[~second].var() + along[second].var())
+    return second, distance / (float(np.sqrt(spread)) + 1e-9 * distance)
 
 
 # How much every pixel looks like skin rather than like the background.
@@ -393,6 +387,14 @@ def _signals(image: FloatArray) -> list[FloatArray]:
     return [brightness] if image.ndim == 2 else [brightness, brightness - 3.0 * _least(image)]
 
 
+_BRIGHT_BACKGROUND = 0.1
+"""A background at least this bright against the brightest of the image may be darker than skin in
+some places only. Chosen on: simulated fingers (coloured paper, validation/conditions)."""
+_COLOURED_BACKGROUND = 0.3
+"""A bright background whose channels differ by more than this fraction is distinguished by its
+colour. Chosen on: simulated fingers (coloured paper, validation/conditions)."""
+
+
 def _colour_filter(image: FloatArray) -> FloatArray | None:
     """(3,) weights of the channels in whose sum a bright, coloured background vanishes; None before
     any other. They are orthogonal to its colour, the median along the image's border (skin along
@@ -400,25 +402,21 @@ def _colour_filter(image: FloatArray) -> FloatArray | None:
     """
     if image.ndim == 2:
         return None
-    border = _border(image).astype(np.float64)
-    light = border.sum(axis=1)
-    if float(np.median(light)) <= BRIGHT_BACKGROUND * max(
+    edge = border(image).astype(np.float64)
+    light = edge.sum(axis=1)
+    if np.median(light) <= _BRIGHT_BACKGROUND * max(
         float(np.percentile(image.sum(axis=2), 99.0)), 0.0
     ):
         return None
-    colour = np.median(border[light > 0.0] / light[light > 0.0, None], axis=0)
-    if float(colour.min()) > (1.0 - COLOURED_BACKGROUND) * float(colour.max()):
+    colour = np.median(edge[light > 0.0] / light[light > 0.0, None], axis=0)
+    if colour.min() > (1.0 - _COLOURED_BACKGROUND) * float(colour.max()):
         return None
-    colour /= np.sqrt(np.sum(colour * colour))
+    colour /= np.linalg.norm(colour)
     pixels = image.reshape(-1, 3).astype(np.float64)
-    rest = pixels - np.einsum("ni,i->n", pixels, colour)[:, None] * colour
-    weights = np.linalg.eigh(np.einsum("ni,nj->ij", rest, rest))[1][:, -1]
-    sign = 1.0 if float(np.sum(rest.mean(axis=0) * weights)) >= 0.0 else -1.0
+    rest = pixels - np.outer(pixels @ colour, colour)
+    weights = np.linalg.eigh(rest.T @ rest)[1][:, -1]
+    sign = 1.0 if float(rest.mean(axis=0) @ weights) >= 0.0 else -1.0
     return np.asarray(sign * weights, dtype=np.float32)
-
-
-def _filtered(image: FloatArray, weights: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("hwc,c->hw", image, weights), dtype=np.float32)
 
 
 class _Region(NamedTuple):
@@ -435,15 +433,23 @@ def _region(mask: BoolArray, reach: float) -> _Region:
     return _Region(mask, depth_inside(mask), distance_outside(mask, reach))
 
 
+_EDGE_FRACTION = 0.12
+"""A pixel is finger if it rises from the background by this fraction of the finger's median rise.
+Chosen on: judgement. Range: 0.06 to 0.168 (validation/parameters)."""
+_NOISE_FACTOR = 5.0
+"""A pixel is finger if it also rises by this many standard deviations of the background's noise, in
+standard deviations."""
+
+
 def _skin_evidence(
-    image: FloatArray, seed: _Region, margin: float, samples: int, *, local: bool = False
+    image: FloatArray, seed: _Region, margin: float, *, local: bool = False
 ) -> tuple[FloatArray, bool]:
     """Evidence map (H, W): above one where a pixel rises from the background by enough to be skin;
     and whether any signal distinguishes the seed. The background is a quadratic surface fitted
-    robustly outside the seed, the threshold `EDGE_FRACTION` of the rise inside it nearby (at most
-    of its median), at least `NOISE_FACTOR` times the noise: a shadow on the finger stays finger.
+    robustly outside the seed, the threshold `_EDGE_FRACTION` of the rise inside it nearby (at most
+    of its median), at least `_NOISE_FACTOR` times the noise: a shadow on the finger stays finger.
     `margin`: pixels around the seed that belong to neither side; `local`: the background may follow
-    a shadow's edge beside a complete seed; `samples`: pixels fitted.
+    a shadow's edge beside a complete seed.
     """
     outside = seed.away > margin
     inside = seed.depth > 0.5 * margin
@@ -453,65 +459,42 @@ def _skin_evidence(
     evidence = np.zeros(inside.shape, dtype=np.float32)
     usable = False
     for signal in _signals(image):
-        background, noise = _fit_background(signal, outside, samples)
+        background, noise = _fit_background(signal, outside)
         rise = signal - background
         if local:
             dim = np.minimum(rise, 3.0 * noise)  # dust, which is bright, hardly counts
-            offset, cover = _local_mean(dim, outside, 2.0 * margin)
+            offset, cover = local_mean(dim, outside, 2.0 * margin)
             rise = rise - np.where(cover > 1e-3, offset, 0.0)
         level = float(np.median(rise[inside]))
-        if level < 3.0 * NOISE_FACTOR * noise or level <= 0.0:
+        if level < 3.0 * _NOISE_FACTOR * noise or level <= 0.0:
             continue
         usable = True
         # a shaded part is darker
-        near, cover = _local_mean(np.maximum(rise, 0.0), inside, 2.0 * margin)
+        near, cover = local_mean(np.maximum(rise, 0.0), inside, 2.0 * margin)
         expected = np.minimum(np.where(cover > 1e-2, near, level), level)
-        threshold = np.maximum(EDGE_FRACTION * expected, NOISE_FACTOR * noise)
+        threshold = np.maximum(_EDGE_FRACTION * expected, _NOISE_FACTOR * noise)
         np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
 
 
-def _local_mean(
-    values: FloatArray, where: BoolArray, sigma: float
-) -> tuple[FloatArray, FloatArray]:
-    """Mean of values near every pixel over those of a region, and how much of it is near."""
-    weight = where.astype(np.float32)
-    cover = wide_blur(weight, sigma)
-    return wide_blur(values * weight, sigma) / np.maximum(cover, 1e-3), cover
-
-
-def _fit_background(
-    signal: FloatArray, outside: BoolArray, samples: int
-) -> tuple[FloatArray, float]:
+def _fit_background(signal: FloatArray, outside: BoolArray) -> tuple[FloatArray, float]:
     """Robust quadratic surface through `signal` outside the finger, and the noise about it, from
     the darker pixels."""
-    height, width = signal.shape
-    x = np.linspace(-1.0, 1.0, width)
-    y = np.linspace(-1.0, 1.0, height)
-    rows, columns = np.nonzero(outside)
-    step = max(1, len(rows) // samples)
-    rows = rows[::step]
-    columns = columns[::step]
+    y, x = (np.linspace(-1.0, 1.0, side) for side in signal.shape)
+    rows, columns = (place[:: max(1, len(place) // 8000)] for place in np.nonzero(outside))
     values = signal[rows, columns].astype(np.float64)
-    u = x[columns]
-    v = y[rows]
-    design = np.stack([np.ones_like(u), u, v, u * u, v * v, u * v])  # (6, n)
-    residual = values - float(np.percentile(values, 40.0))
-    keep, noise = _below(residual)
+    powers = np.polynomial.polynomial.polyvander2d(y[rows], x[columns], (2, 2))
+    quadratic = [0, 1, 2, 3, 4, 6]  # of the nine powers: 1, x, x^2, y, x y, y^2
+    terms = powers[:, quadratic]
+    keep, noise = _below(values - float(np.percentile(values, 40.0)))
+    solution = np.zeros(9)
     for _ in range(6):
-        part = design[:, keep]
-        normal = np.einsum("in,jn->ij", part, part) + 1e-6 * part.shape[1] * np.eye(6)
-        solution = np.linalg.solve(normal, np.einsum("in,n->i", part, values[keep]))
-        residual = values - np.einsum("in,i->n", design, solution)
+        solution[quadratic] = np.linalg.lstsq(terms[keep], values[keep], rcond=None)[0]
         kept = keep
-        keep, noise = _below(residual)
+        keep, noise = _below(values - powers @ solution)
         if np.array_equal(keep, kept):
             break
-    level, right, down, right_right, down_down, twist = solution
-    surface = (level + right * x + right_right * x * x)[None, :] + (down * y + down_down * y * y)[
-        :, None
-    ]
-    surface += (twist * y)[:, None] * x[None, :]
+    surface = np.polynomial.polynomial.polygrid2d(y, x, solution.reshape(3, 3))
     return surface.astype(np.float32), noise
 
 
@@ -521,28 +504,35 @@ def _below(residual: Array) -> tuple[BoolArray, float]:
     negative = -residual[residual <= 0.0]
     if negative.size == 0:
         return residual <= 1e-12, 0.0
-    noise = max(1.4826 * float(np.median(negative)), float(np.sqrt(np.mean(negative * negative))))
+    noise = max(deviation(negative), float(np.sqrt(np.mean(negative * negative))))
     return residual <= max(2.5 * noise, 1e-12), noise
 
 
 # The mask: coarse, and its outline.
 
 
-def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int) -> BoolArray:
-    margin = EDGE_MARGIN_MM * px_per_mm
-    mask = _seed(image, SEED_BLUR_MM * px_per_mm, _without_spurs)
+_EDGE_MARGIN_MM = 1.0
+"""Width of the zone along the outline that counts neither as finger nor as background while either
+is measured. Chosen on: judgement. Range: 0.5 to 2 (validation/parameters)."""
+
+
+def _coarse_mask(image: FloatArray, px_per_mm: float) -> BoolArray:
+    margin = _EDGE_MARGIN_MM * px_per_mm
+    mask = _seed(image, _SEED_BLUR_MM * px_per_mm, _without_spurs)
     for _ in range(2):
         seed = _region(mask, margin)
-        evidence, usable = _skin_evidence(image, seed, margin, samples)
+        evidence, usable = _skin_evidence(image, seed, margin)
         require(usable, _NO_FINGER, NoFinger)
         grown = fill_holes((evidence > 1.0) | (seed.depth > 0.5 * float(seed.depth.max())))
         # it holds the middle of the seed
-        cleaned = remove_spurs(largest_component(grown), SPUR_FRACTION)
+        cleaned = remove_spurs(largest_component(grown), _SPUR_FRACTION)
         require(cleaned.any(), _NO_FINGER, NoFinger)
         mask = fill_holes(cleaned)
     finger = _region(mask, 1.3 * margin)
-    wide = 2.0 * float(finger.depth.max()) >= MIN_WIDTH_MM * px_per_mm
-    require(wide and _step_at_edge(image, finger, margin) >= MIN_EDGE_STEP, _NO_FINGER, NoFinger)
+    wide = 2.0 * float(finger.depth.max()) >= _MIN_WIDTH_MM * px_per_mm
+    # a region across whose outline neither brightness nor colour changes by this fraction is not a
+    # finger
+    require(wide and _step_at_edge(image, finger, margin) >= 0.15, _NO_FINGER, NoFinger)
     return mask
 
 
@@ -561,20 +551,21 @@ def _step_at_edge(image: FloatArray, region: _Region, reach: float) -> float:
 
 
 def _fine_outline(
-    fine: FloatArray, rough: BoolArray, size: tuple[int, ...], px_per_mm: float, samples: int
+    fine: FloatArray, rough: BoolArray, size: tuple[int, ...], px_per_mm: float
 ) -> BoolArray:
     """Find the edge of the mask `rough` on the `fine` copy and interpolate it to `size` (rows,
     columns)."""
     guess = _enlarged(rough, fine.shape)
-    margin = EDGE_MARGIN_MM * px_per_mm
+    margin = _EDGE_MARGIN_MM * px_per_mm
     region = _region(guess, margin)
-    evidence, _ = _skin_evidence(
-        blur(fine, OUTLINE_BLUR_MM * px_per_mm), region, margin, samples, local=True
-    )
+    # gaussian blur (sigma) of the images on which the outline is traced
+    evidence, _ = _skin_evidence(blur(fine, 0.06 * px_per_mm), region, margin, local=True)
     near = (region.away <= 0.7 * margin) & (region.depth <= margin)
     skin = np.where(near, evidence > 1.0, guess)
-    cleaned = remove_spurs(largest_component(fill_holes(skin)), SPUR_FRACTION)
-    cleaned = fill_holes(remove_specks(cleaned, OUTLINE_SPECK_MM * px_per_mm))
+    cleaned = remove_spurs(largest_component(fill_holes(skin)), _SPUR_FRACTION)
+    # bumps of the outline narrower than twice this (dust on the background beside the finger) are
+    # cut off
+    cleaned = fill_holes(remove_specks(cleaned, 1.0 * px_per_mm))
     require(cleaned.any(), _NO_FINGER, NoFinger)
     # above one exactly on `cleaned`; between the grid points the evidence itself gives where one is
     # crossed

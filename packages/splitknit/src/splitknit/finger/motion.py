@@ -17,18 +17,10 @@ import cv2
 import numpy as np
 
 from splitknit.findings import Finding, escaped
-from splitknit.finger.parameters import (
-    BAND_RATIO,
-    MIN_RELIABILITY,
-    MOTION_BANDS_MM,
-    MOTION_ITERATIONS,
-    MOTION_PX_PER_MM,
-    MOTION_SAMPLES,
-    SURROUND_MM,
-    WARN_MM,
-)
 from splitknit.finger.regions import blur, dilate, quantile, reduce_image, reduce_mask, reduction
+from splitknit.finger.registration import BAND_RATIO, SURROUND_MM
 from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.robust import deviation, huber
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -52,6 +44,13 @@ class _ShotMotion(NamedTuple):
     alignment."""
 
 
+_MOTION_BANDS_MM = (0.3, 0.15, 0.08)
+"""Fine ends (sigma) of the band-pass filters, coarse to fine; a finger may move by about twice the
+first. Chosen on: judgement. Range: 1 to 2 times these values (validation/parameters)."""
+MOTION_PX_PER_MM = 10.0
+"""Scale of the copies that are compared in the finest band. Chosen on: speed."""
+
+
 def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMotion:
     """By how much the finger shifted in each shot of `stack` (L, H, W), linear, against the others.
     Each shot, over its local brightness and band-passed, is registered to the others' mean
@@ -61,7 +60,7 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
     "An iterative image registration technique", IJCAI 1981.
     """
     box = bounding_box(
-        mask, int((2.0 * SURROUND_MM + 2.0 * BAND_RATIO * MOTION_BANDS_MM[0]) * px_per_mm)
+        mask, int((2.0 * SURROUND_MM + 2.0 * BAND_RATIO * _MOTION_BANDS_MM[0]) * px_per_mm)
     )
     count = len(stack)
     if count < 5:
@@ -72,7 +71,7 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
     px_per_mm = px_per_mm * scale
     shifts = np.zeros((count, 2))  # columns, rows; mm
     agreement = np.zeros(count)
-    for band in MOTION_BANDS_MM:
+    for band in _MOTION_BANDS_MM:
         bands, region, light, px = _details(stack, mask, px_per_mm, band)
         aligned = np.stack(
             [_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)]
@@ -86,6 +85,13 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
     return _ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
 
 
+WARN_MM = 0.05
+"""Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
+MIN_RELIABILITY = 0.8
+"""Motion of a shot with less reliability than this is ignored, in correlation. Chosen on:
+judgement. Range: 0.4 to 0.8 (validation/parameters)."""
+
+
 def motion_findings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[Finding, ...]:
     """A finding of shots in which the finger moved by more than `WARN_MM`; `names`: of the
     photographs' files."""
@@ -95,11 +101,15 @@ def motion_findings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[Fin
         return ()
     files = tuple(names[int(k)] if names else f"image {k}" for k in moved)
     which = ", ".join(f"{escaped(file)} by {{:.2f mm}}" for file in files)
-    words = (
-        f"the finger moved between the shots ({which}): the relief is blurred there; rest the"
-        " finger on its support and capture again."
+    return (
+        Finding(
+            "moved-finger",
+            f"the finger moved between the shots ({which}): the relief is blurred there; rest the"
+            " finger on its support and capture again.",
+            files=files,
+            lengths_mm=tuple(length[moved].tolist()),
+        ),
     )
-    return (Finding("moved-finger", words, files=files, lengths_mm=tuple(length[moved].tolist())),)
 
 
 def _reduced(mask: BoolArray, scale: float) -> BoolArray:
@@ -123,16 +133,13 @@ def _details(
     framed[rim:-rim, rim:-rim] = region[rim:-rim, rim:-rim]
     region = (framed if framed.any() else inside)[box]
     inside = inside[box]
-    rows, columns = (axis.astype(np.float64) for axis in np.nonzero(inside))
+    places = np.argwhere(inside)[:, ::-1]
     details = []
     light = []
     for image in stack:
         small = reduce_image(image, scale)[box]
         on_finger = np.maximum(small[inside], 0.0)
-        power = max(float(on_finger.sum(dtype=np.float64)), 1e-12)
-        light.append(
-            tuple(float(np.einsum("n,n->", on_finger, place)) / power for place in (columns, rows))
-        )
+        light.append(on_finger @ places / max(float(on_finger.sum()), 1e-12))
         floor = max(0.1 * quantile(on_finger[::8]), 1e-12)
         local = np.maximum(blur(small, 1.2 * px), floor)
         relative: FloatArray = np.divide(small, local, dtype=np.float32)
@@ -165,37 +172,27 @@ def _register(
     """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when
     aligned."""
     places = np.flatnonzero(region)
-    places = places[:: max(1, len(places) // MOTION_SAMPLES)]
+    # pixels that are compared in each band, at least, of those on the finger and around it
+    places = places[:: max(1, len(places) // 20_000)]
     every = max(1, len(places) // 4_000)  # a median needs no more
     down, right = np.gradient(reference)
-    rows = np.stack(
-        [
-            -right.ravel()[places],
-            -down.ravel()[places],
-            reference.ravel()[places],
-            np.zeros(len(places)),
-        ]
-    )
-    rows = rows.astype(np.float32)
-    values = rows[3]
-    shift = start.astype(np.float64)
-    root = np.ones(len(places), dtype=np.float32)  # of the weights
-    for _ in range(MOTION_ITERATIONS):
-        values[:] = _shifted(image, shift).ravel()[places]
+    terms = np.stack([each.ravel()[places] for each in (-right, -down, reference)])
+    shift = start
+    weights = np.ones_like(terms[0])
+    for _ in range(6):
+        values = _shifted(image, shift).ravel()[places]
         for _ in range(2):
-            solution = _least_squares(_products(rows * root))
-            x, y, gain = solution.astype(np.float32)
-            residual = np.abs(values - x * rows[0] - y * rows[1] - gain * rows[2])
-            spread = max(1.4826 * quantile(residual[::every]), 1e-12)
-            root = 1.0 / np.sqrt(np.maximum(1.0, residual / (1.5 * spread)))
+            weighted = terms * weights
+            solution = np.linalg.lstsq(weighted @ terms.T, weighted @ values, rcond=None)[0]
+            residual = values - solution @ terms
+            weights = huber(residual, 1.5 * max(deviation(residual[::every]), 1e-12))
         step = np.clip(solution[:2] / max(float(solution[2]), 0.3), -1.5, 1.5)
         shift = shift + step
-        if float(np.abs(step).max()) < 0.01:
+        if np.abs(step).max() < 0.01:
             break
-    products = _products(rows[2:] * root)
-    return shift, float(products[0, 1]) / max(
-        float(np.sqrt(products[0, 0] * products[1, 1])), 1e-30
-    )
+    both = np.stack([terms[2], values])
+    products = both * weights @ both.T
+    return shift, float(products[0, 1] / np.sqrt(max(products[0, 0] * products[1, 1], 1e-30)))
 
 
 def _without_illumination(shifts: Array, light: Array) -> Array:
@@ -203,28 +200,10 @@ def _without_illumination(shifts: Array, light: Array) -> Array:
     absolute deviations."""
     place = light - light.mean(axis=0)
     place = place / max(float(np.abs(place).max()), 1e-9)
-    design = np.concatenate([place, np.ones((len(place), 1))], axis=1)
-    weights = np.ones(len(place))
+    design = np.column_stack([place, np.ones(len(place))])
+    root = np.ones((len(place), 1))
     residual = shifts
     for _ in range(30):
-        weighted = design * weights[:, None]
-        normal = np.einsum("li,lj->ij", weighted, design) + 1e-9 * np.eye(3)
-        solution = np.linalg.solve(normal, np.einsum("li,lj->ij", weighted, shifts))
-        residual = shifts - np.einsum("li,ij->lj", design, solution)
-        weights = 1.0 / np.maximum(np.hypot(residual[:, 0], residual[:, 1]), 1e-3)
+        residual = shifts - design @ np.linalg.lstsq(design * root, shifts * root, rcond=None)[0]
+        root = 1.0 / np.sqrt(np.maximum(np.linalg.norm(residual, axis=1, keepdims=True), 1e-3))
     return residual
-
-
-def _products(rows: FloatArray) -> Array:
-    """(K, K) inner products of rows (K, N), the same bytes whatever the number of threads."""
-    return np.asarray(np.einsum("in,jn->ij", rows, rows))
-
-
-def _least_squares(products: Array) -> Array:
-    """(K,) weights of K rows that come nearest to a last one, by the inner products (K + 1, K + 1)
-    of all."""
-    normal = products[:-1, :-1]
-    target = products[:-1, -1]
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
-    normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(len(normal))
-    return np.linalg.solve(normal, target / scale) / scale

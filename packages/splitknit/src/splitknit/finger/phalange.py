@@ -7,31 +7,14 @@ must be gone. The cut itself is a straight line on the full grid.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.findings import Finding
 from splitknit.finger.orientation import Upright
-from splitknit.finger.parameters import (
-    CREASE_BLUR_MM,
-    CREASE_DISTANCES_MM,
-    CREASE_PX_PER_MM,
-    CREASE_RATIO_SD,
-    CREASE_RATIOS,
-    CREASE_SIDE_MM,
-    DOUBLET_FRACTION,
-    DOUBLET_MM,
-    EQUALISED_BLUR_MM,
-    EQUALISED_ROUNDS,
-    EXPECTED_CREASE_RATIO,
-    MAX_CREASE_TILT_DEG,
-    MIN_CREASE_COVERAGE,
-    MIN_CREASE_DEPTH,
-    MIN_CREASE_PROMINENCE,
-    MIN_ROW_PROMINENCE,
-)
 from splitknit.finger.regions import depth_inside, largest_component, reduce_image, reduce_mask
 from splitknit.imaging.geometry import refined_peak, smoothed, warp
 from splitknit.model import BoolArray, FloatArray
@@ -69,9 +52,11 @@ def find_crease(
     of one joint are one crease, cut at the upper line unless that is the fainter. Source: the
     thesis, section 3.3.1.1, "Phalange Segmentation", steps 1-5. `mean_grey`: (H, W) float32 linear;
     `mask`: (H, W) bool; `equalised`: the thesis's way instead: the row with the fewest light
-    pixels. It gives neither the number of rounds nor the width of the blur; three and 0.5 mm here..
+    pixels. It gives neither the number of rounds nor the width of the blur; three and 0.5 mm here.
     """
-    scale = min(1.0, CREASE_PX_PER_MM / px_per_mm, 700 / max(upright.size))
+    # scale of the copy that is searched: a crease is half a millimetre wide and more, and ridges
+    # must not show
+    scale = min(1.0, 8.0 / px_per_mm, 700 / max(upright.size))
     small, inside = _upright_copy(mean_grey, mask, upright, scale)
     valleys = (_darkest_rows if equalised else _transverse_valleys)(
         small, inside, px_per_mm * scale
@@ -148,6 +133,14 @@ def _upright_copy(
     return warp(small, transform, size), warp(reduce_mask(mask, scale), transform, size) > 0.9
 
 
+_CREASE_RATIOS = (0.95, 2.4)
+"""Where the first crease may lie: smallest and largest distance from the tip, in widths of the
+finger. Chosen on: judgement. Range: 0.7 to 1 times these values (validation/parameters)."""
+_CREASE_DISTANCES_MM = (14.0, 38.0)
+"""Where it may lie in millimetres. Chosen on: judgement. Range: 0.7 to 1.4 times these values
+(validation/parameters)."""
+
+
 def _judge(
     candidates: Sequence[_Valley], width_mm: float, length_mm: float
 ) -> tuple[_Valley | None, Finding]:
@@ -155,10 +148,13 @@ def _judge(
     lies."""
     keep = "the whole visible finger is kept."
     if not candidates:
-        words = f"no flexion crease is fully in view ({{:.0f mm}} of the finger are); {keep}"
-        return None, Finding("no-crease", words, lengths_mm=(length_mm,))
-    near = max(CREASE_DISTANCES_MM[0], CREASE_RATIOS[0] * width_mm)
-    far = min(CREASE_DISTANCES_MM[1], CREASE_RATIOS[1] * width_mm)
+        return None, Finding(
+            "no-crease",
+            f"no flexion crease is fully in view ({{:.0f mm}} of the finger are); {keep}",
+            lengths_mm=(length_mm,),
+        )
+    near = max(_CREASE_DISTANCES_MM[0], _CREASE_RATIOS[0] * width_mm)
+    far = min(_CREASE_DISTANCES_MM[1], _CREASE_RATIOS[1] * width_mm)
     plausible = [valley for valley in candidates if near <= valley.distance_mm <= far]
     if not plausible:
         places = "{:.1f mm-}, " * (len(candidates) - 1) + "{:.1f mm}"
@@ -170,14 +166,18 @@ def _judge(
         return None, Finding("no-crease", words, lengths_mm=lengths_mm)
 
     def weight(valley: _Valley) -> float:
-        offset = (valley.distance_mm / width_mm - EXPECTED_CREASE_RATIO) / CREASE_RATIO_SD
+        # mean and standard deviation of a first crease's distance from the tip, in widths
+        offset = (valley.distance_mm / width_mm - 1.55) / 0.35
         return valley.depth * valley.coverage * float(np.exp(-0.5 * offset * offset))
 
     lower = max(plausible, key=weight)
 
     def upper_line(valley: _Valley) -> bool:
-        near = 0.0 < lower.distance_mm - valley.distance_mm <= DOUBLET_MM
-        return near and valley.depth >= DOUBLET_FRACTION * lower.depth
+        # two creases nearer than this are the two lines of one joint
+        near = 0.0 < lower.distance_mm - valley.distance_mm <= 5.0
+        # least depth of the upper of two such lines, over that of the lower one, for the upper to
+        # be taken
+        return near and valley.depth >= 0.75 * lower.depth
 
     chosen = next(filter(upper_line, plausible), lower)
     further = len(candidates) - 1
@@ -186,11 +186,19 @@ def _judge(
         if further
         else ""
     )
-    words = f"cut at the first flexion crease, {{:.1f mm}} below the tip{extra}."
-    return chosen, Finding("crease", words, lengths_mm=(chosen.distance_mm,))
+    return chosen, Finding(
+        "crease",
+        f"cut at the first flexion crease, {{:.1f mm}} below the tip{extra}.",
+        lengths_mm=(chosen.distance_mm,),
+    )
 
 
 # Dark lines across an upright finger.
+
+
+_CREASE_SIDE_MM = 1.6
+"""A valley must be darker than the skin this far above and below it. Chosen on: judgement. Range:
+0.8 to 2.24 (validation/parameters)."""
 
 
 def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> list[_Valley]:
@@ -199,20 +207,21 @@ def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> lis
     from scipy.signal import find_peaks  # slow to load, and needed here alone
 
     smooth = image
-    for _ in range(
-        EQUALISED_ROUNDS
-    ):  # histogram equalisation of the finger alone, then Gaussian blur
+    # the thesis gives no number of rounds and no width of the blur
+    for _ in range(3):  # histogram equalisation of the finger alone, then Gaussian blur
         level = np.zeros_like(image)
         level[inside] = np.searchsorted(np.sort(smooth[inside]), smooth[inside]) / max(
             int(inside.sum()), 1
         )
-        smooth = smoothed(level, inside, EQUALISED_BLUR_MM * px_per_mm)
+        smooth = smoothed(level, inside, 0.5 * px_per_mm)
     width = inside.sum(axis=1)
     dark = np.where(
         width > 0, 1.0 - (inside & (smooth > 0.5)).sum(axis=1) / np.maximum(width, 1), 1.0
     )
+    # a row is a candidate there if it has so many fewer light pixels than the rows beside it, over
+    # the width
     rows, peaks = find_peaks(
-        dark, prominence=MIN_ROW_PROMINENCE, distance=max(1, round(CREASE_SIDE_MM * px_per_mm))
+        dark, prominence=0.2, distance=max(1, round(_CREASE_SIDE_MM * px_per_mm))
     )
     valleys = []
     for row, prominence in zip(rows, peaks["prominences"], strict=True):
@@ -222,16 +231,20 @@ def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> lis
     return valleys
 
 
+_MIN_CREASE_DEPTH = 0.025  # minimum relative darkening, averaged over the finger's width
+_MAX_CREASE_TILT_DEG = 15.0  # creases may lean by this much against the finger's axis
+
+
 def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> list[_Valley]:
     """All dark lines across an upright finger, from the tip down: places of the blurred image
-    darker than the skin `CREASE_SIDE_MM` above and below, averaged along lines that lean by up to
-    `MAX_CREASE_TILT_DEG`.
+    darker than the skin `_CREASE_SIDE_MM` above and below, averaged along lines that lean by up to
+    `_MAX_CREASE_TILT_DEG`.
     """
     response, valid = _response(image, inside, px_per_mm)
     widths = inside.sum(axis=1)
     width = float(np.percentile(widths[widths > 0], 80)) if (widths > 0).any() else 1.0
     core = valid & (depth_inside(inside) > 0.08 * width)
-    tilts = np.deg2rad(np.arange(-MAX_CREASE_TILT_DEG, MAX_CREASE_TILT_DEG + 0.1, 3.0))
+    tilts = np.deg2rad(np.arange(-_MAX_CREASE_TILT_DEG, _MAX_CREASE_TILT_DEG + 0.1, 3.0))
     lines = [_along_lines(response, core, inside, width, float(tilt)) for tilt in tilts]
     depths, coverages = (np.stack(part) for part in zip(*lines, strict=True))
     best = np.argmax(depths * coverages, axis=0)
@@ -242,12 +255,13 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     known = depth[depth != 0.0]
     # depth of other lines
     usual = max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0
-    reach = max(1, round(CREASE_SIDE_MM * px_per_mm))
+    reach = max(1, round(_CREASE_SIDE_MM * px_per_mm))
     peaks = depth >= cv2.dilate(depth[:, None], np.ones((2 * reach + 1, 1), dtype=np.uint8))[:, 0]
+    # 2.5 times the depth that lines across this finger usually show
     strong = (
         peaks
-        & (depth >= max(MIN_CREASE_DEPTH, MIN_CREASE_PROMINENCE * usual))
-        & (coverage >= MIN_CREASE_COVERAGE)
+        & (depth >= max(_MIN_CREASE_DEPTH, 2.5 * usual))
+        & (coverage >= 0.6)  # fraction of the finger's width along which the valley must show
     )
     valleys: list[_Valley] = []
     for row in np.flatnonzero(strong & inside.any(axis=1)).tolist():
@@ -268,17 +282,21 @@ def _response(
     crease; but a place must be darker than both sides as they are: a shadow's edge or foot is not.
     """
     weight = inside.astype(np.float32)
-    sigma = max(CREASE_BLUR_MM * px_per_mm, 0.3)
+    # blur (sigma) across the crease; removes ridges of 0.43 mm period
+    sigma = max(0.3 * px_per_mm, 0.3)
     light = cv2.GaussianBlur(np.maximum(image, 0.0) * weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
     cover = cv2.GaussianBlur(weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
     smooth = light / np.maximum(cover, 1e-3)
     typical = float(np.median(smooth[inside])) if inside.any() else 1.0
     level = np.log(np.maximum(smooth, max(0.02 * typical, 1e-12)))
-    step = max(1, round(CREASE_SIDE_MM * px_per_mm))
-    above, has_above = _moved_down(level, inside, step)
-    below, has_below = _moved_down(level, inside, -step)
-    farther_above, has_slope_above = _moved_down(level, inside, 2 * step)
-    farther_below, has_slope_below = _moved_down(level, inside, -2 * step)
+    step = max(1, round(_CREASE_SIDE_MM * px_per_mm))
+
+    def beside(part: NDArray[Any]) -> list[NDArray[Any]]:
+        padded = np.pad(part, ((2 * step, 2 * step), (0, 0)))
+        return [padded[k * step :][: len(part)] for k in (0, 1, 3, 4)]
+
+    farther_above, above, below, farther_below = beside(level)
+    has_slope_above, has_above, has_below, has_slope_below = beside(inside)
     slope_above = above - farther_above
     slope_below = farther_below - below
     agree = has_slope_above & has_slope_below & (slope_above * slope_below > 0.0)
@@ -293,33 +311,17 @@ def _response(
     return np.where(known, response, 0.0).astype(np.float32), known
 
 
-def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatArray, BoolArray]:
-    """What lies `step` rows above every pixel, and whether that is finger."""
-    moved = np.zeros_like(level)
-    known = np.zeros_like(inside)
-    if abs(step) < level.shape[0]:
-        target, source = (
-            (np.s_[step:], np.s_[:-step]) if step > 0 else (np.s_[:step], np.s_[-step:])
-        )
-        moved[target], known[target] = level[source], inside[source]
-    return moved, known
-
-
 def _along_lines(
     response: FloatArray, core: BoolArray, inside: BoolArray, finger_width: float, tilt: float
 ) -> tuple[FloatArray, FloatArray]:
     """Mean response and fraction of responding columns for every line of one lean; zero where too
     little is known."""
-    height, width = response.shape
     occupied = np.flatnonzero(inside.any(axis=0))
-    centre = float(occupied.mean()) if len(occupied) else 0.5 * width
-    x = np.arange(width, dtype=np.float32)
-    shift = (-(x - centre) * np.float32(np.tan(tilt))).astype(np.float32)
-    rows = np.arange(height, dtype=np.float32)[:, None] + shift[None, :]
-    columns = np.broadcast_to(x, rows.shape).astype(np.float32)
+    centre = float(occupied.mean()) if len(occupied) else 0.0
+    lean = float(np.tan(tilt))
+    shear = np.array([[1.0, 0.0, 0.0], [-lean, 1.0, lean * centre], [0.0, 0.0, 1.0]])
     values, valid = (
-        cv2.remap(part, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        for part in (response, core.astype(np.float32))
+        warp(part, shear, response.shape) for part in (response, core.astype(np.float32))
     )
     known = valid > 0.99
     count = known.sum(axis=1).astype(np.float32)
@@ -327,6 +329,6 @@ def _along_lines(
     depth = np.where(
         enough, (np.clip(values, -0.2, 0.2) * known).sum(axis=1) / np.maximum(count, 1.0), 0.0
     )
-    hits = ((values > 0.4 * MIN_CREASE_DEPTH) & known).sum(axis=1)
+    hits = ((values > 0.4 * _MIN_CREASE_DEPTH) & known).sum(axis=1)
     coverage = np.where(enough, hits / np.maximum(count, 1.0), 0.0)
     return depth.astype(np.float32), coverage.astype(np.float32)

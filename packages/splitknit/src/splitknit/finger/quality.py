@@ -15,30 +15,6 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.finger.mask import touched_borders
-from splitknit.finger.parameters import (
-    BRIGHT_SPECK_MM,
-    BRIGHT_SPECK_RISE,
-    DARK_SPECK_DEPTH,
-    DARK_SPECK_MM,
-    DEAD_LED,
-    LED_RANGE,
-    LIT_FRACTION,
-    MAX_AMBIENT,
-    MAX_BRIGHT_SPECKS,
-    MAX_DARK_SPECKS,
-    MAX_SATURATED,
-    MIN_BRIGHTNESS,
-    MIN_LENGTH_MM,
-    MIN_RIDGE_CONTRAST,
-    PINHOLE_MM2,
-    SATURATION,
-    SLANTED_EDGE_MM,
-    SPECK_BLUR_MM,
-    SPECK_DIRECTIONS,
-    SPECK_ENLARGEMENT,
-    SPECK_LEVEL_MM,
-    SPECK_PX_PER_MM,
-)
 from splitknit.finger.regions import (
     blur,
     depth_inside,
@@ -62,6 +38,33 @@ from splitknit.model import Array, BoolArray, FloatArray
 # scale, so that a thin hair does not fall into beads.
 
 
+_SPECK_ENLARGEMENT = 2
+"""Lines are laid over the copy enlarged by this factor, so that a thin hair does not fall into
+beads. Chosen on: simulated fingers (seeds 7401 to 7406 in every condition, people S16 and S17).
+Range: 2 to 4 (validation/parameters)."""
+_SPECK_LEVEL_MM = 0.3
+"""Brightness is relative to its surroundings, smoothed by a Gaussian of this sigma. Chosen on:
+simulated fingers (seeds 7401 to 7406 in every condition, people S16 and S17)."""
+_SPECK_PX_PER_MM = 12.0
+"""Scale of the copy on which specks are measured; coarser images are not. Chosen on: simulated
+fingers (seeds 7401 to 7406 in every condition, people S16 and S17). Range: 8.4 to 12
+(validation/parameters)."""
+_DARK_SPECK_MM = 0.35
+"""Dark marks that are longer in any direction are valleys, wrinkles or hairs. Chosen on: simulated
+fingers (seeds 7401 to 7406 in every condition, people S16 and S17). Range: 0.245 to 0.7
+(validation/parameters)."""
+_DARK_SPECK_DEPTH = 0.08
+"""How much darker than its surroundings a pixel of a dark speck is. Chosen on: simulated fingers
+(seeds 7401 to 7406 in every condition, people S16 and S17). Range: 0.056 to 0.112
+(validation/parameters)."""
+_BRIGHT_SPECK_MM = 0.5
+"""Bright marks that are longer in any direction are ridges. Chosen on: simulated fingers (seeds
+7401 to 7406 in every condition, people S16 and S17)."""
+_BRIGHT_SPECK_RISE = 0.08
+"""How much brighter than its surroundings a pixel of a bright speck is. Chosen on: simulated
+fingers (seeds 7401 to 7406 in every condition, people S16 and S17)."""
+
+
 def _speck_fractions(
     stack: FloatArray, mask: BoolArray, px_per_mm: float
 ) -> tuple[float | None, float | None]:
@@ -71,9 +74,9 @@ def _speck_fractions(
     all directions fills marks that hold no line; openings find bright ones. Source: P. Soille, H.
     Talbot, Directional morphological filtering, IEEE PAMI 23(11), 2001.
     """
-    if px_per_mm < 0.95 * SPECK_PX_PER_MM:
+    if px_per_mm < 0.95 * _SPECK_PX_PER_MM:
         return None, None
-    scale = min(1.0, SPECK_PX_PER_MM / px_per_mm)
+    scale = min(1.0, _SPECK_PX_PER_MM / px_per_mm)
     px = px_per_mm * scale
     box, core = _core(mask, scale, px)
     if not core.any():
@@ -81,17 +84,17 @@ def _speck_fractions(
     relative = []
     for image in stack:
         small = reduce_image(image, scale)[box]
-        level = blur(small, SPECK_LEVEL_MM * px)
+        level = blur(small, _SPECK_LEVEL_MM * px)
         relative.append(small / np.maximum(level, 0.05 * max(quantile(level[core][::4]), 1e-12)))
     images = np.sort(np.stack(relative), axis=0)
     half = max(1, len(images) // 2)
     lit = _finer(images[-half:].mean(axis=0), px)
     dim = _finer(images[:half].mean(axis=0), px)
-    core = np.repeat(np.repeat(core, SPECK_ENLARGEMENT, axis=0), SPECK_ENLARGEMENT, axis=1)
-    filled = _short_marks_filled(lit, DARK_SPECK_MM * px * SPECK_ENLARGEMENT)
-    levelled = -_short_marks_filled(-dim, BRIGHT_SPECK_MM * px * SPECK_ENLARGEMENT)
-    dark = lit[core] < (1.0 - DARK_SPECK_DEPTH) * filled[core]
-    bright = dim[core] > (1.0 + BRIGHT_SPECK_RISE) * levelled[core]
+    core = np.repeat(np.repeat(core, _SPECK_ENLARGEMENT, axis=0), _SPECK_ENLARGEMENT, axis=1)
+    filled = _short_marks_filled(lit, _DARK_SPECK_MM * px * _SPECK_ENLARGEMENT)
+    levelled = -_short_marks_filled(-dim, _BRIGHT_SPECK_MM * px * _SPECK_ENLARGEMENT)
+    dark = lit[core] < (1.0 - _DARK_SPECK_DEPTH) * filled[core]
+    bright = dim[core] > (1.0 + _BRIGHT_SPECK_RISE) * levelled[core]
     return float(dark.mean()), float(bright.mean())
 
 
@@ -101,7 +104,13 @@ def _core(mask: BoolArray, scale: float, px: float) -> tuple[tuple[slice, slice]
     inside = reduce_mask(mask, scale) > 0.99
     depth = depth_inside(inside)
     box = bounding_box(inside) if inside.any() else (slice(0), slice(0))
-    return box, depth[box] > min(SLANTED_EDGE_MM * px, 0.4 * float(depth.max()))
+    # pixels nearer to the outline are left out: skin is slanted there
+    return box, depth[box] > min(1.5 * px, 0.4 * float(depth.max()))
+
+
+_SPECK_DIRECTIONS = 16
+"""Directions of the lines that a mark may hold. Chosen on: simulated fingers (seeds 7401 to 7406 in
+every condition, people S16 and S17)."""
 
 
 def _short_marks_filled(image: FloatArray, length_px: float) -> FloatArray:
@@ -110,7 +119,7 @@ def _short_marks_filled(image: FloatArray, length_px: float) -> FloatArray:
     filled = np.full_like(image, np.inf)
     reach = int(np.ceil(0.5 * length_px))
     along = np.linspace(-0.5 * length_px, 0.5 * length_px, 4 * reach + 1)
-    for angle in np.pi * np.arange(SPECK_DIRECTIONS) / SPECK_DIRECTIONS:
+    for angle in np.pi * np.arange(_SPECK_DIRECTIONS) / _SPECK_DIRECTIONS:
         line = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
         rows = np.rint(reach - along * np.sin(angle)).astype(np.intp)
         columns = np.rint(reach + along * np.cos(angle)).astype(np.intp)
@@ -119,11 +128,21 @@ def _short_marks_filled(image: FloatArray, length_px: float) -> FloatArray:
     return filled
 
 
+_SPECK_BLUR_MM = 0.04
+"""Sigma of a Gaussian before lines are laid: pixels of the copy leave no steps. Chosen on:
+simulated fingers (seeds 7401 to 7406 in every condition, people S16 and S17). Range: 0.02 to 0.056
+(validation/parameters)."""
+
+
 def _finer(image: FloatArray, px: float) -> FloatArray:
     large = cv2.resize(
-        image, None, fx=SPECK_ENLARGEMENT, fy=SPECK_ENLARGEMENT, interpolation=cv2.INTER_LINEAR
+        image, None, fx=_SPECK_ENLARGEMENT, fy=_SPECK_ENLARGEMENT, interpolation=cv2.INTER_LINEAR
     )
-    return blur(np.asarray(large), SPECK_BLUR_MM * px * SPECK_ENLARGEMENT)
+    return blur(np.asarray(large), _SPECK_BLUR_MM * px * _SPECK_ENLARGEMENT)
+
+
+_SATURATION = 0.98
+"""Values from here on are saturated, unless the caller gives another level, in full scale."""
 
 
 def capture_quality(
@@ -134,7 +153,7 @@ def capture_quality(
     finger: bool = True,
     lights: Array | None = None,
     ambient: FloatArray | None = None,
-    saturation: float | Array = SATURATION,
+    saturation: float | Array = _SATURATION,
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
@@ -195,6 +214,10 @@ def outline_figures(mask: BoolArray, px_per_mm: float) -> dict[str, Any]:
     }
 
 
+_LED_RANGE = (0.5, 2.0)
+"""Brightness of an image relative to what its LED should give; outside, the LED is suspect."""
+
+
 def quality_findings(
     quality: Mapping[str, Any],
     *,
@@ -207,72 +230,92 @@ def quality_findings(
     of the photographs' files.
     """
     names = names or [f"image {k}" for k in range(len(quality["saturated_per_image"]))]
-    if quality["brightness"] < MIN_BRIGHTNESS:
-        words = (
+    # median brightness of the mean image, below which it is called dark, in full scale
+    if quality["brightness"] < 0.02:
+        yield Finding(
+            "dark-photographs",
             f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the"
-            " exposure."
+            " exposure.",
         )
-        yield Finding("dark-photographs", words)
     worst = int(np.argmax(quality["saturated_per_image"]))
     saturated = quality["saturated_per_image"][worst]
-    if saturated > MAX_SATURATED:
+    if saturated > 0.02:  # fraction of the finger that may be saturated in any image
         what, remedy = ("finger", " or dry the finger") if finger else ("surface", "")
-        words = (
+        yield Finding(
+            "saturated-photograph",
             f"{100 * saturated:.0f} % of the {what} is saturated in {names[worst]}: shorten the"
-            f" exposure{remedy}."
+            f" exposure{remedy}.",
+            files=(names[worst],),
         )
-        yield Finding("saturated-photograph", words, files=(names[worst],))
     ambient = quality["ambient_share"] or 0.0
-    if ambient > MAX_AMBIENT:
-        words = (
+    if ambient > 0.3:  # ambient light as a fraction of the median lit brightness
+        yield Finding(
+            "ambient-light",
             f"ambient light is {100 * ambient:.0f} % of the LEDs' light: close the box, dim the"
-            " room."
+            " room.",
         )
-        yield Finding("ambient-light", words)
     for name, relative in zip(
         names, quality["led_relative"] or () if promised else (), strict=False
     ):
-        if relative < DEAD_LED:
-            words = f"{name} is almost black: its LED seems dead; check its wiring."
-            yield Finding("dead-led", words, files=(name,))
-        elif not LED_RANGE[0] <= relative <= LED_RANGE[1]:
-            words = (
-                f"{name} is {relative:.2f} times as bright as the rig file promises: check the LED,"
-                " or calibrate the rig again."
+        if relative < 0.1:  # relative brightness below which an LED is called dead
+            yield Finding(
+                "dead-led",
+                f"{name} is almost black: its LED seems dead; check its wiring.",
+                files=(name,),
             )
-            yield Finding("led-brightness", words, files=(name,))
+        elif not _LED_RANGE[0] <= relative <= _LED_RANGE[1]:
+            yield Finding(
+                "led-brightness",
+                f"{name} is {relative:.2f} times as bright as the rig file promises: check the LED,"
+                " or calibrate the rig again.",
+                files=(name,),
+            )
     if finger:
         yield from _findings_on_skin(quality)
 
 
+_MAX_DARK_SPECKS = 0.002
+"""Fraction of the finger that dark specks may cover. Chosen on: simulated fingers (seeds 7401 to
+7406 in every condition, people S16 and S17)."""
+_MAX_BRIGHT_SPECKS = 0.005
+"""Fraction of the finger that bright specks may cover. Chosen on: simulated fingers (seeds 7401 to
+7406 in every condition, people S16 and S17)."""
+
+
 def _findings_on_skin(quality: Mapping[str, Any]) -> Iterator[Finding]:
     """Those on ridges, skin and tip."""
-    if quality["ridge_contrast"] < MIN_RIDGE_CONTRAST:
-        words = (
+    # minimum relative contrast (standard deviation over mean) of the ridge band
+    if quality["ridge_contrast"] < 0.006:
+        yield Finding(
+            "faint-ridges",
             f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): focus the"
-            " camera on the finger, clean the lens, dry a wet finger, or moisten a worn one."
+            " camera on the finger, clean the lens, dry a wet finger, or moisten a worn one.",
         )
-        yield Finding("faint-ridges", words)
     dark = quality.get("dark_specks") or 0.0
     bright = quality.get("bright_specks") or 0.0
-    if dark > MAX_DARK_SPECKS:  # at most one sentence: dust has bright grains too
-        words = (
+    if dark > _MAX_DARK_SPECKS:  # at most one sentence: dust has bright grains too
+        yield Finding(
+            "dark-specks",
             f"dark specks cover {100 * dark:.1f} % of the finger: wipe the finger, and the lens or"
-            " its cover."
+            " its cover.",
         )
-        yield Finding("dark-specks", words)
-    elif bright > MAX_BRIGHT_SPECKS:
+    elif bright > _MAX_BRIGHT_SPECKS:
         remedy = "wipe it if it is dusty, moisten it if its skin is dry."
         yield Finding(
             "bright-specks", f"bright specks cover {100 * bright:.1f} % of the finger: {remedy}"
         )
-    if quality["length_mm"] < MIN_LENGTH_MM:
-        words = "only {:.0f mm} of the finger are in view: push it further in, or check px_per_mm."
-        yield Finding("short-finger", words, lengths_mm=(quality["length_mm"],))
+    if quality["length_mm"] < 12.0:  # visible length of the finger below which a warning is given
+        yield Finding(
+            "short-finger",
+            "only {:.0f mm} of the finger are in view: push it further in, or check px_per_mm.",
+            lengths_mm=(quality["length_mm"],),
+        )
     borders = set(quality["borders"])
     if borders >= {"top", "bottom"} or borders >= {"left", "right"}:
-        words = "the finger crosses the whole image, so its tip is not in view: move it back."
-        yield Finding("finger-crosses-view", words)
+        yield Finding(
+            "finger-crosses-view",
+            "the finger crosses the whole image, so its tip is not in view: move it back.",
+        )
 
 
 def _ridge_contrast(
@@ -324,7 +367,7 @@ def photometric_mask(
     finger: BoolArray,
     px_per_mm: float,
     *,
-    saturation: float | Array = SATURATION,
+    saturation: float | Array = _SATURATION,
 ) -> BoolArray:
     """Drop pixels that too few lights reach: (H, W) inside `finger`, one component without
     pinholes, at full resolution. The thesis's threshold (3.3.1.5, refined mask) follows the
@@ -337,11 +380,13 @@ def photometric_mask(
     ceilings = np.broadcast_to(saturation, (len(stack),))
     sample = stack[:, box[0], box[1]][:, ::4, ::4][:, inside[::4, ::4]]
     sample = sample if sample.size else stack[:, finger]
-    floor = LIT_FRACTION * float(np.median(sample))
+    # a light reaches a pixel if it is brighter than this fraction of the finger's median brightness
+    floor = 0.03 * float(np.median(sample))
     count = np.zeros(inside.shape, dtype=np.uint8)
     for image, ceiling in zip(stack[:, box[0], box[1]], ceilings, strict=True):
         count += (image > floor) & (image < np.float32(ceiling))
-    good = fill_holes(inside & (count >= least), PINHOLE_MM2 * px_per_mm**2)
+    # holes up to this area are filled: a few unreliable pixels harm less than a hole in the surface
+    good = fill_holes(inside & (count >= least), 1.0 * px_per_mm**2)
     # an isolated dark pixel at the outline would leave a bay one pixel wide, and a bridge as thin
     # is not a surface
     good = largest_component(good & inside)

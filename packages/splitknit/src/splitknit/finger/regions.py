@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.finger.parameters import SMALL_DISC_PX
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
+
+
+def border(image: NDArray[Any]) -> NDArray[Any]:
+    """Pixels along the image's border; those of the corners twice."""
+    return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
 
 
 def reduction(
@@ -53,8 +59,6 @@ def dilate(mask: BoolArray, radius: float) -> BoolArray:
     small ones."""
     if radius < 1.0 or not mask.any():
         return mask
-    if radius <= SMALL_DISC_PX:
-        return cv2.dilate(mask.view(np.uint8), _disc(radius)).view(np.bool_)
     return distance_outside(mask, radius) <= radius
 
 
@@ -62,14 +66,7 @@ def erode(mask: BoolArray, radius: float) -> BoolArray:
     """Shrink `mask` by `radius` pixels; beyond the image's border the mask is taken to go on."""
     if radius < 1.0 or mask.all():
         return mask
-    if radius <= SMALL_DISC_PX:
-        return cv2.erode(mask.view(np.uint8), _disc(radius)).view(np.bool_)
     return depth_inside(mask) > radius
-
-
-def _disc(radius: float) -> NDArray[np.uint8]:
-    along = np.arange(-int(radius), int(radius) + 1)
-    return np.asarray(np.hypot(along[:, None], along[None, :]) <= radius, dtype=np.uint8)
 
 
 def depth_inside(mask: BoolArray) -> FloatArray:
@@ -121,20 +118,11 @@ def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
     if not mask.any():
         return mask
     box = bounding_box(mask, 1)
-    part = mask[box]
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(
-        np.logical_not(part).view(np.uint8), connectivity=4
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        np.logical_not(mask[box]).view(np.uint8), connectivity=4
     )
-    rows, columns = part.shape
-    left = stats[:, cv2.CC_STAT_LEFT]
-    top = stats[:, cv2.CC_STAT_TOP]
-    right = left + stats[:, cv2.CC_STAT_WIDTH]
-    bottom = top + stats[:, cv2.CC_STAT_HEIGHT]
-    closed = (left > 0) & (top > 0) & (right < columns) & (bottom < rows)
-    hole = closed & (stats[:, cv2.CC_STAT_AREA] <= largest_area)
-    hole[0] = False
-    if count == 1 or not hole.any():
-        return mask
+    hole = stats[:, cv2.CC_STAT_AREA] <= largest_area
+    hole[[0, *border(labels)]] = False
     filled = mask.copy()
     filled[box] |= hole[labels]
     return filled

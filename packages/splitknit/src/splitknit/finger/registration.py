@@ -12,33 +12,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.finger.parameters import (
-    BAND_RATIO,
-    COARSE_BANDS_MM,
-    FINE_BANDS_MM,
-    PRODUCT_SIZE,
-    REGISTRATION_ITERATIONS,
-    REGISTRATION_PX_PER_MM,
-    REGISTRATION_SAMPLES,
-    RIM_MM,
-    SAME_SCALE,
-    SETTLED_MM,
-    SETTLED_PX,
-    SURROUND_MM,
-    TURN_MM,
-)
 from splitknit.finger.regions import blur, dilate, erode
 from splitknit.imaging.geometry import bounding_box, sampled_at
+from splitknit.imaging.robust import deviation, huber
 from splitknit.model import Array, BoolArray, FloatArray
 
 # Where the skin of one shot lies in the others: shifts and turns, and the details of images that
 # show them.
+
+
+TURN_MM = 8.0
+"""A turn's parameter is the shift that it causes at this distance. Chosen on: simulated fingers
+(seeds 9101 to 9104). Range: 4 to 16 (validation/parameters)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,8 +39,8 @@ class Flow:
 
     moves_mm: Array
     """(L, 3): right, down the rows, and the shift that a turn causes at a distance of `TURN_MM`."""
-    centre_mm: tuple[float, float]
-    """Place about which the shots turn, right of and below the first pixel."""
+    centre_mm: Array
+    """(2,) place about which the shots turn, right of and below the first pixel."""
 
     def basis(self, x_mm: Array, y_mm: Array) -> Array:
         """(N, 2, 3) shift at places (N,), right of and below the first pixel, for a unit of every
@@ -74,8 +66,8 @@ def still(count: int, mask: BoolArray, px_per_mm: float) -> Flow:
     """No move of any of `count` shots of the finger under `mask` (H, W), about whose middle they
     turn."""
     rows, columns = bounding_box(mask)
-    middle = (columns.start + columns.stop - 1, rows.start + rows.stop - 1)
-    return Flow(np.zeros((count, 3)), (0.5 * middle[0] / px_per_mm, 0.5 * middle[1] / px_per_mm))
+    middle = np.array([part.start + part.stop - 1 for part in (columns, rows)])
+    return Flow(np.zeros((count, 3)), 0.5 * middle / px_per_mm)
 
 
 # Details of one size in all shots, at the pixels that matter, and the shifts they imply.
@@ -123,12 +115,21 @@ class Level:
         return values
 
 
+BAND_RATIO = 3.2
+"""Coarse end of each filter over its fine end. Chosen on: simulated fingers (seeds 9101 to 9104).
+Range: 2.24 to 4.48 (validation/parameters)."""
+REGISTRATION_PX_PER_MM = 12.5
+"""Scale of the copies that are compared in the finest band. Chosen on: simulated fingers (seeds
+9101 to 9104). Range: 8.75 to 12.5 (validation/parameters)."""
+
+
 def details_of(stack: FloatArray, region: BoolArray, px_per_mm: float, sigma_mm: float) -> Level:
     """Band-passed copies of (L, H, W), fine end `sigma_mm`, weighted by one over the square of the
     brightness in `region` (H, W).
     """
     finest = min(px_per_mm, REGISTRATION_PX_PER_MM, 1.0 / sigma_mm)
-    finest = px_per_mm if finest * SAME_SCALE > px_per_mm else finest
+    # copies are not reduced by less than this: it would blur some pixels more than others
+    finest = px_per_mm if finest * 1.1 > px_per_mm else finest
     size = tuple(max(8, round(n * finest / px_per_mm)) for n in (region.shape[1], region.shape[0]))
     px = px_per_mm * size[0] / region.shape[1]
     small = [np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA)) for image in stack]
@@ -136,7 +137,8 @@ def details_of(stack: FloatArray, region: BoolArray, px_per_mm: float, sigma_mm:
     level = blur(np.mean(small, axis=0), 1.0 * px)
     floor = 0.15 * float(np.median(level[inside])) if inside.any() else 0.0
     rows, columns = np.nonzero(inside)
-    every = max(1, rows.size // REGISTRATION_SAMPLES)
+    # pixels of a level that are used, at least, evenly spread; all where it has fewer
+    every = max(1, rows.size // 16_000)
     rows = rows[every // 2 :: every]
     columns = columns[every // 2 :: every]
     weight = 1.0 / np.maximum(level[rows, columns], max(floor, 1e-9)) ** 2
@@ -152,7 +154,22 @@ def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
     half = 0.5 * px_per_mm
     right = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1, scale=half, borderType=cv2.BORDER_REPLICATE)
     down = cv2.Sobel(image, cv2.CV_32F, 0, 1, ksize=1, scale=half, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(cv2.merge([image, right, down]))
+    return np.dstack([image, right, down])
+
+
+_COARSE_BANDS_MM = (0.5, 0.3, 0.15)
+"""Fine ends (sigma) of the band-pass filters in which the outline counts too, coarse to fine.
+Chosen on: simulated fingers (seeds 9101 to 9104). Range: 0.5 to 2 times these values
+(validation/parameters)."""
+_FINE_BANDS_MM = (0.08,)
+"""Fine ends of the filters in which only the skin counts. Chosen on: simulated fingers (seeds 9101
+to 9104). Range: 0.7 to 1 times these values (validation/parameters)."""
+SURROUND_MM = 0.7
+"""Width of the background around the finger that is used, for the sake of its silhouette. Chosen
+on: simulated fingers (seeds 9101 to 9104). Range: 0.35 to 1.4 (validation/parameters)."""
+_RIM_MM = 0.8
+"""Width of the finger's edge that is left out of the fine bands. Chosen on: simulated fingers
+(seeds 9101 to 9104). Range: 0.4 to 1.6 (validation/parameters)."""
 
 
 def bands_of(mask: BoolArray, px_per_mm: float) -> Iterator[tuple[float, BoolArray, bool]]:
@@ -160,10 +177,14 @@ def bands_of(mask: BoolArray, px_per_mm: float) -> Iterator[tuple[float, BoolArr
     (sigma, mm), pixels, and whether turns are sought.
     """
     around = dilate(mask, SURROUND_MM * px_per_mm)
-    skin = erode(mask, RIM_MM * px_per_mm)
-    for step, sigma_mm in enumerate((*COARSE_BANDS_MM, *FINE_BANDS_MM)):
-        fine = step >= len(COARSE_BANDS_MM)
+    skin = erode(mask, _RIM_MM * px_per_mm)
+    for step, sigma_mm in enumerate((*_COARSE_BANDS_MM, *_FINE_BANDS_MM)):
+        fine = step >= len(_COARSE_BANDS_MM)
         yield sigma_mm, skin if fine and skin.any() else around, step > 0
+
+
+REGISTRATION_ITERATIONS = 20
+"""Maximum refinements in each band. Chosen on: speed. Range: 10 to 40 (validation/parameters)."""
 
 
 def settled(  # noqa: PLR0917
@@ -182,31 +203,22 @@ def settled(  # noqa: PLR0917
     places = level.places()
     basis = flow.basis(*places)[..., : 3 if turns else 2]
     largest_mm = 1.0 / level.px_per_mm
-    settled_mm = max(SETTLED_MM, SETTLED_PX / level.px_per_mm)
+    # shots that move by less, in mm or pixels, are settled: images are resampled to 1/32 px
+    settled_mm = max(5e-4, 0.02 / level.px_per_mm)
     moves = flow.moves_mm.copy()
     for _ in range(REGISTRATION_ITERATIONS):
         shifts = replace(flow, moves_mm=moves).at(*places)
         sampled = level.sampled(shifts[shots].astype(np.float32))
         step = np.clip(step_of(sampled, basis), -largest_mm, largest_mm)
         moves[free, : basis.shape[2]] += step
-        if float(np.abs(step).max()) < settled_mm:
+        if np.abs(step).max() < settled_mm:
             break
     return replace(flow, moves_mm=moves)
 
 
 def robust_weight(level: Level, error: FloatArray) -> FloatArray:
     """(N,) weight of every pixel, less where its weighted `error` (N,) is beyond the usual."""
-    typical = 1.4826 * float(np.median(error)) + 1e-12
-    return np.asarray(level.weight / np.maximum(1.0, error / (1.5 * typical)))
-
-
-def gram(columns: FloatArray) -> Array:
-    """(K, K) inner products of `columns` (K, N), the same bytes whatever the number of threads."""
-    count, total = columns.shape
-    part = int(np.clip(PRODUCT_SIZE // count**2, 16, 4096))
-    padded = np.pad(columns, ((0, 0), (0, -total % part)))
-    parts = np.ascontiguousarray(padded.reshape(count, -1, part).transpose(1, 0, 2))
-    return np.asarray((parts @ parts.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
+    return np.asarray(level.weight * huber(error, 1.5 * deviation(error) + 1e-12))
 
 
 # What surfaces may show under lights that differ from place to place.
@@ -225,12 +237,7 @@ def lights_on(lights: Array, level: Level, shape: tuple[int, ...], px_per_mm: fl
 def surface_axes(lights: FloatArray) -> FloatArray:
     """Orthonormal brightnesses (L, 3, N) that span what matt surfaces may show under `lights` (L,
     3, N)."""
-    axes = lights.astype(np.float64)
-    for k in range(3):
-        for earlier in range(k):
-            axes[:, k] -= (axes[:, k] * axes[:, earlier]).sum(axis=0) * axes[:, earlier]
-        axes[:, k] /= np.maximum(np.sqrt((axes[:, k] ** 2).sum(axis=0)), 1e-12)
-    return axes.astype(np.float32)
+    return np.moveaxis(np.linalg.qr(np.moveaxis(lights, 2, 0))[0], 0, 2)
 
 
 def beyond_surface(images: FloatArray, axes: FloatArray) -> FloatArray:
@@ -278,12 +285,7 @@ def register_shots(
     for sigma_mm, region, turns in bands_of(mask, px_per_mm):
         level = details_of(stack, region, px_per_mm, sigma_mm)
         axes = surface_axes(lights_on(lights, level, mask.shape, px_per_mm))
-
-        def step_of(
-            sampled: FloatArray, basis: Array, level: Level = level, axes: FloatArray = axes
-        ) -> Array:
-            return _step(level, axes, shots, free, sampled, basis)
-
+        step_of = partial(_step, level, axes, shots, free)
         flow = settled(level, flow, shots, free, step_of, turns)
 
     def unexplained(flow: Flow) -> Array:
@@ -326,11 +328,11 @@ def _step(  # noqa: PLR0917
             continue
         k = free.index(int(shot))
         columns = (sampled[image, 1] * right + sampled[image, 2] * down) * root
-        matrix[k, :, k] += gram(columns)
-        force[k] += np.einsum("mn,n->m", columns, residual[image] * root)
+        matrix[k, :, k] += columns @ columns.T
+        force[k] += columns @ (residual[image] * root)
         along_axes[:, k] += columns * axes[image][:, None]
-    for part in along_axes:
-        matrix -= gram(part.reshape(number * width, root.size)).reshape(matrix.shape)
     flat = matrix.reshape(number * width, number * width)
+    for part in along_axes.reshape(3, number * width, root.size):
+        flat = flat - part @ part.T
     flat = flat + 1e-6 * float(np.diag(flat).mean()) * np.eye(len(flat))
     return np.asarray(-np.linalg.solve(flat, force.ravel()).reshape(number, width))

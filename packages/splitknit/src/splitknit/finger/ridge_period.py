@@ -9,17 +9,7 @@ import numpy as np
 
 from splitknit.checks import check_mask
 from splitknit.errors import require
-from splitknit.finger.parameters import (
-    BLOCK_PX,
-    LONGEST_PX,
-    MIN_BLOCKS,
-    MIN_CONCENTRATION,
-    MIN_FACING,
-    MIN_RIDGED,
-    PERIOD_LEVELS,
-    SHORTEST_PX,
-    STEP_PX,
-)
+from splitknit.imaging.robust import deviation
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.plausible import RIDGE_PERIOD
 
@@ -39,7 +29,18 @@ class _RidgePeriod(NamedTuple):
     """Of the blocks that were looked at, those with one wave."""
 
 
-def ridge_period(normals: FloatArray, mask: BoolArray, step: int = STEP_PX) -> _RidgePeriod:
+_BLOCK_PX = 64
+"""Side of a block of the reduced picture. Chosen on: judgement. Range: 32 to 64
+(validation/parameters)."""
+_STEP_PX = 16
+"""Usual distance of the blocks. Chosen on: judgement. Range: 8 to 16 (validation/parameters)."""
+_MIN_RIDGED = 0.25
+"""At least this fraction of all blocks must have one wave. Fingers have 0.6 to 0.8, DiLiGenT's bear
+0.08, a ball none. Chosen on: simulated fingers (and photographs of objects without ridges). Range:
+0.08 to 0.6 (what it separates)."""
+
+
+def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP_PX) -> _RidgePeriod:
     """Measure the distance of the ridges in a map of normals whose scale is unknown.
 
     The slopes are reduced by 1, 2, 4, ...; in blocks of 64 pixels one wave of 4 to 10 pixels must
@@ -60,18 +61,16 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = STEP_PX) -> _
     slopes = np.stack([-normals[..., 0] / steep, -normals[..., 1] / steep], axis=-1)
     fields = np.dstack([np.where(mask[..., None], slopes, 0.0), mask.astype(np.float32)])
     best: tuple[float, Array, float] = (0.0, np.zeros(0), 0.0)
-    for level in range(PERIOD_LEVELS):
+    for level in range(6):  # maximum number of reduced pictures
         factor = 2**level
         size = (mask.shape[1] // factor, mask.shape[0] // factor)
-        if min(size) < BLOCK_PX:
+        if min(size) < _BLOCK_PX:
             break
         small = fields if level == 0 else cv2.resize(fields, size, interpolation=cv2.INTER_AREA)
         periods, blocks = _periods(np.asarray(small), step)
         area = float(len(periods) * factor**2)
-        if (
-            len(periods) >= max(MIN_BLOCKS * (STEP_PX / step) ** 2, MIN_RIDGED * blocks)
-            and area > best[0]
-        ):
+        # at least so many blocks must have one wave
+        if len(periods) >= max(6 * (_STEP_PX / step) ** 2, _MIN_RIDGED * blocks) and area > best[0]:
             best = area, periods * factor, len(periods) / blocks
     periods = best[1]
     require(
@@ -80,8 +79,8 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = STEP_PX) -> _
         " good focus; give `px_per_mm`.",
     )
     middle = float(np.median(periods))
-    spread = 1.4826 * float(np.median(np.abs(periods - middle)))
-    apart = max(1.0, len(periods) * (step / BLOCK_PX) ** 2)
+    spread = deviation(periods - middle)
+    apart = max(1.0, len(periods) * (step / _BLOCK_PX) ** 2)
     return _RidgePeriod(middle, 1.25 * spread / float(np.sqrt(apart)), len(periods), best[2])
 
 
@@ -108,46 +107,46 @@ def scale_of_ridges(
     )
 
 
+_SHORTEST_PX = 4.0
+"""Shortest period that is sought in a reduced picture; the next picture has half the size. Chosen
+on: judgement. Range: 2 to 4 (validation/parameters)."""
+_LONGEST_PX = 10.0
+"""Longest period that is sought in a reduced picture. Chosen on: judgement. Range: 7 to 20
+(validation/parameters)."""
+
+
 def _periods(fields: FloatArray, step: int) -> tuple[Array, int]:
     """Periods (px, on the surface) of blocks of slopes and mask (h, w, 3) with one wave, and the
     number of blocks."""
-    window = np.outer(np.hanning(BLOCK_PX), np.hanning(BLOCK_PX)).astype(np.float32)
-    v, u = np.meshgrid(np.fft.fftfreq(BLOCK_PX), np.fft.rfftfreq(BLOCK_PX), indexing="ij")
-    u = u.astype(np.float32).ravel()
-    v = v.astype(np.float32).ravel()
+    window = np.outer(np.hanning(_BLOCK_PX), np.hanning(_BLOCK_PX))[..., None]
+    v, u = np.meshgrid(np.fft.fftfreq(_BLOCK_PX), np.fft.rfftfreq(_BLOCK_PX), indexing="ij")
+    u, v = u.ravel(), v.ravel()
     frequency = np.hypot(u, v)
-    around = (frequency > 0.5 / LONGEST_PX) & (frequency < 0.45)
-    sought = (frequency >= 1.0 / LONGEST_PX) & (frequency <= 1.0 / SHORTEST_PX)
+    around = (frequency > 0.5 / _LONGEST_PX) & (frequency < 0.45)
+    sought = (frequency >= 1.0 / _LONGEST_PX) & (frequency <= 1.0 / _SHORTEST_PX)
     # the other half plane is the same, mirrored
-    weight = np.where(u > 0, np.float32(2.0), np.float32(1.0)) * around
-    back = -np.arange(BLOCK_PX) % BLOCK_PX
-    mirrored = np.ix_(back, back[: BLOCK_PX // 2 + 1])
-    lattice = tuple(slice(0, length - BLOCK_PX + 1, step) for length in fields.shape[:2])
-    side = (BLOCK_PX, BLOCK_PX)
+    weight = np.where(u > 0, 2.0, 1.0) * around
+    lattice = tuple(slice(0, length - _BLOCK_PX + 1, step) for length in fields.shape[:2])
+    side = (_BLOCK_PX, _BLOCK_PX)
     corner = (0, 0)
     tilts = cv2.blur(fields[..., :2], side, anchor=corner)[lattice]
     whole = cv2.erode(fields[..., 2], np.ones(side, np.uint8), anchor=corner)[lattice] >= 0.99
-    usable = whole & (1.0 / np.sqrt(1.0 + (tilts * tilts).sum(axis=-1)) >= MIN_FACING)
+    # cosine of the slant up to which blocks are used
+    usable = whole & (1.0 / np.sqrt(1.0 + (tilts * tilts).sum(axis=-1)) >= 0.7)
     periods = []
     for row, column in np.argwhere(usable):
         tilt, (top, left) = tilts[row, column], (row * step, column * step)
-        block = (fields[top : top + BLOCK_PX, left : left + BLOCK_PX, :2] - tilt) * window[
-            ..., None
-        ]
-        # of x slope + i y slope
-        real, imaginary = cv2.split(cv2.dft(block, flags=cv2.DFT_COMPLEX_OUTPUT))
-        both = real * real + imaginary * imaginary
-        power = (both[:, : BLOCK_PX // 2 + 1] + both[mirrored]).ravel() * weight
+        block = (fields[top : top + _BLOCK_PX, left : left + _BLOCK_PX, :2] - tilt) * window
+        waves = np.abs(np.fft.rfft2(block, axes=(0, 1)))
+        power = (waves**2).sum(axis=-1).ravel() * weight
         peak = int(np.argmax(power * sought))
         apart = [(u - s * u[peak]) ** 2 + (v - s * v[peak]) ** 2 for s in (1, -1)]
-        near = power * (np.minimum(*apart) < (2.5 / BLOCK_PX) ** 2)
+        near = power * (np.minimum(*apart) < (2.5 / _BLOCK_PX) ** 2)
         held = near.sum()
         mean = (near @ frequency) / max(held, 1e-30)
-        # else the flank of a wave that is sought in another size
-        if (
-            held >= MIN_CONCENTRATION * power.sum()
-            and 1.0 / LONGEST_PX <= mean <= 1.0 / SHORTEST_PX
-        ):
+        # one wave of ridges has at least so much of the block's power, in a period that is sought
+        # here; else it is the flank of a wave that is sought in another size
+        if held >= 0.4 * power.sum() and 1.0 / _LONGEST_PX <= mean <= 1.0 / _SHORTEST_PX:
             along = (u[peak] * tilt[0] - v[peak] * tilt[1]) / frequency[peak]
             periods.append(np.sqrt(1.0 + along**2) / mean)
     return np.array(periods), int(usable.sum())

@@ -12,19 +12,15 @@ from numpy.typing import NDArray
 
 from splitknit.checks import check_mask
 from splitknit.errors import BadInput, require
-from splitknit.finger.parameters import (
-    CONTRAST_FLOOR,
-    CONTRAST_WINDOW_MM,
-    EMPTY_CONTRAST,
-    FULL_CONTRAST,
-    INK_STEEPNESS,
-    NARROW_WINDOW,
-)
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, warp
-from splitknit.model import Array, BoolArray, FloatArray, Reconstruction, Surface
+from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.reconstruction import Reconstruction, Surface
 
 MM_PER_INCH = 25.4
 """Millimetres in an inch. Source: definition of the inch."""
+_CONTRAST_WINDOW_MM = 0.6
+"""Standard deviation of the Gaussian window over which mean and contrast are made even. Chosen on:
+judgement. Range: 0.3 to 1.2 (validation/parameters)."""
 
 
 def relief_print(
@@ -73,7 +69,7 @@ def relief_print(
     window_from_print = window_from_input @ input_from_print
     weight = np.clip(warp(weight, window_from_print, size), 0.0, 1.0)
     relief = warp(relief.astype(np.float32), window_from_print, size)
-    centred, deviation = _centred(relief, weight, CONTRAST_WINDOW_MM * ppi / MM_PER_INCH)
+    centred, deviation = _centred(relief, weight, _CONTRAST_WINDOW_MM * ppi / MM_PER_INCH)
     known = deviation[weight > 0.5]
     typical = float(np.median(known)) if known.size else 0.0
     return (
@@ -93,12 +89,19 @@ def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], ste
     return np.array([[-step, 0.0, across + right], [0.0, step, down - bottom], [0.0, 0.0, 1.0]])
 
 
+INK_STEEPNESS = 1.1
+"""Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white. Chosen on: judgement.
+Range: 0.55 to 2.2 (validation/parameters)."""
+
+
 def _ink(
     centred: FloatArray, deviation: FloatArray, typical: float, weight: FloatArray
 ) -> NDArray[np.uint8]:
     """Grey values of a relief as of :func:`_centred`; `weight` in [0, 1] is how much of a pixel is
     inked."""
-    score = centred / np.maximum(deviation, CONTRAST_FLOOR * typical)
+    # contrast below this fraction of the finger's median is not raised further, so flat skin stays
+    # flat
+    score = centred / np.maximum(deviation, 0.3 * typical)
     dark = 0.5 + 0.5 * np.tanh(INK_STEEPNESS * score)
     return np.round(255.0 * (1.0 - weight * dark)).astype(np.uint8)
 
@@ -132,6 +135,13 @@ def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDAr
 # ridges.
 
 
+_EMPTY_CONTRAST = 0.1
+"""Local contrast, as a fraction of the finger's median, below which skin is paper."""
+_NARROW_WINDOW = 0.4
+"""The window of that contrast, as a fraction of the other: blank skin at the outline is paper up to
+the last ridge. Chosen on: judgement. Range: 0.2 to 0.8 (validation/parameters)."""
+
+
 def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[np.uint8]:
     """Print a field that is high on ridges and low in valleys.
 
@@ -151,7 +161,7 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
         )
     inside = weight > 0.5
     require(inside.any(), "nothing of the finger lies on the print.")
-    sigma = CONTRAST_WINDOW_MM * ppi / MM_PER_INCH
+    sigma = _CONTRAST_WINDOW_MM * ppi / MM_PER_INCH
     centred, deviation = _centred(values, weight, sigma)
     typical = float(np.median(deviation[inside]))
     scale = float(np.abs(values[inside]).max())
@@ -159,10 +169,10 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
         typical > 1e-6 * scale,
         "the print has no ridges: its relief is flat; check focus and light of the capture.",
     )
-    around = np.maximum(gaussian_mean(weight, NARROW_WINDOW * sigma), 1e-3)
-    near = np.sqrt(gaussian_mean(centred * centred * weight, NARROW_WINDOW * sigma) / around)
+    around = np.maximum(gaussian_mean(weight, _NARROW_WINDOW * sigma), 1e-3)
+    near = np.sqrt(gaussian_mean(centred * centred * weight, _NARROW_WINDOW * sigma) / around)
+    # local contrast, as a fraction of the finger's median, above which skin is all ink
     opacity = (
-        np.clip((near / typical - EMPTY_CONTRAST) / (FULL_CONTRAST - EMPTY_CONTRAST), 0.0, 1.0)
-        * weight
+        np.clip((near / typical - _EMPTY_CONTRAST) / (0.3 - _EMPTY_CONTRAST), 0.0, 1.0) * weight
     )
     return _ink(centred, deviation, typical, opacity)

@@ -1,6 +1,1 @@
-"""From stored pixel values to linear light.
-
-A stored value v becomes (decode(v) - decode(black)) / exposure, less the ambient light treated the
-same way. Values are relative to the full scale of the file (255 or 65535), so an unscaled image
-lies in [0, 1].
-"""
+"""Pixels, the rays through them, and the light on surfaces."""

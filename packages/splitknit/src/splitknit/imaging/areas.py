@@ -1,5 +1,4 @@
-"""Areas of a picture: outlines filled, grown and shrunk, the boxes around them, and what is left
-out of them."""
+"""Regions of an image: fill, grow and shrink them, box them, and blank what lies outside."""
 
 from __future__ import annotations
 
@@ -50,7 +49,7 @@ def filled(outline: Array, shape: tuple[int, int]) -> BoolArray:
 
 
 def grown(mask: BoolArray, radius: float) -> BoolArray:
-    """A mask and what lies within `radius` pixels of it along rows and columns."""
+    """A mask dilated by a square of `radius` pixels to each side."""
     size = 2 * max(1, round(radius)) + 1
     return np.asarray(
         cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)), dtype=np.bool_
@@ -58,7 +57,7 @@ def grown(mask: BoolArray, radius: float) -> BoolArray:
 
 
 def shrunk(mask: BoolArray, radius: float) -> BoolArray:
-    """What of a mask lies further than that from its outline."""
+    """A mask eroded by the same square."""
     return ~grown(~mask, radius)
 
 

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
-from splitknit.imaging.parameters import PLACES_IN_LINE
 from splitknit.model import Array, BoolArray, FloatArray
 
 
 def bounding_box(mask: BoolArray, margin: int = 0) -> tuple[slice, slice]:
-    """Rows and columns that hold `mask`, which must not be empty, and `margin` pixels around it,
-    inside the image."""
+    """Slices of rows and columns that bound `mask` (not empty) with `margin` pixels around it,
+    clipped to the image."""
     rows, columns = (
         slice(max(0, int(inside[0]) - margin), min(int(inside[-1]) + 1 + margin, size))
         for inside, size in (
@@ -132,6 +131,19 @@ def wide_blur(image: FloatArray, sigma: float) -> FloatArray:
     )
 
 
+def local_mean(
+    values: FloatArray, where: BoolArray | FloatArray, sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Gaussian mean at every pixel over the values inside a region, and the weight of the region
+    there; for large `sigma`, as :func:`wide_blur`."""
+    weight = where.astype(np.float32)
+    cover = wide_blur(weight, sigma)
+    return wide_blur(values * weight, sigma) / np.maximum(cover, 1e-3), cover
+
+
+_PLACES_IN_LINE = 128  # places in one row of what OpenCV reads, which takes no long ones
+
+
 def sampled_at(
     field: FloatArray,
     columns: NDArray[Any],
@@ -143,10 +155,10 @@ def sampled_at(
     by OpenCV's interpolation `how`; `outside`: value beside the field, by default the nearest
     pixel's.
     """
-    missing = -columns.size % PLACES_IN_LINE
+    missing = -columns.size % _PLACES_IN_LINE
     shape = (*columns.shape, *field.shape[2:])
     padded = (np.append(part, np.zeros(missing)).astype(np.float32) for part in (columns, rows))
-    x, y = (part.reshape(-1, PLACES_IN_LINE) for part in padded)
+    x, y = (part.reshape(-1, _PLACES_IN_LINE) for part in padded)
     border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
     taken = (
         cv2.remap(field, x, y, how, borderMode=border, borderValue=(outside or 0.0,) * 4)
@@ -167,7 +179,7 @@ def enlarged(field: FloatArray, factor: int, shape: tuple[int, ...]) -> FloatArr
 
 
 def nearest_known(values: FloatArray, known: BoolArray) -> FloatArray:
-    """`values` (h, w), where they are not `known` those of the nearest place where they are."""
+    """`values` (h, w), each unknown one replaced by the nearest `known` value."""
     away = (~known).astype(np.uint8)
     _, labels = cv2.distanceTransformWithLabels(
         away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
@@ -177,8 +189,31 @@ def nearest_known(values: FloatArray, known: BoolArray) -> FloatArray:
     return np.asarray(table[labels])
 
 
+Floats = NDArray[np.floating[Any]]
+
+
+def pixels_above(
+    point: tuple[Floats, Floats], known: BoolArray, columns: Floats, rows: Floats
+) -> tuple[Floats, Floats]:
+    """Columns and rows (...) of a perspective picture whose points lie straight above places of its
+    plane, the pixels at `columns` and `rows` (...) under parallel rays.
+
+    `point`: columns and rows (H, W) above which the point of each pixel lies, where it is `known`.
+    """
+    row, column = np.indices(known.shape)
+    beside = [
+        nearest_known(place - pixel, known)
+        for place, pixel in zip(point, (column, row), strict=True)
+    ]
+    x, y = columns, rows
+    for _ in range(4):  # a contraction, by the depth over the distance
+        right, down = (sampled_at(part, x, y) for part in beside)
+        x, y = columns - right, rows - down
+    return x, y
+
+
 def refined_peak(values: FloatArray, index: int) -> float:
-    """A maximum of samples to a fraction of their distance, by a parabola through three; as it is
+    """Position of a maximum at sub-sample accuracy, by a parabola through three samples; unrefined
     at the ends."""
     if index == 0 or index == len(values) - 1:
         return float(index)

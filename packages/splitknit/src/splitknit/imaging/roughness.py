@@ -12,6 +12,9 @@ _SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
 """Standard deviation over the cut-off of the Gaussian that passes half of a wave as long as the
 cut-off. Source: definition of the cut-off."""
 
+CUTOFFS_MM = (0.08, 0.25, 0.8, 2.5, 8.0)
+"""Usual cut-offs. Source: ISO 4288:1996, table 1."""
+
 
 def profile_roughness(
     height_mm: Array, step_mm: float, cutoff_mm: float
@@ -35,15 +38,15 @@ def profile_roughness(
         np.isfinite(height_mm).all(),
         "the profile has a gap; choose points between which the surface is whole.",
     )
+    shortest_mm, longest_mm = 8.0 * step_mm, length_mm / 2.0 + 1e-9
+    fitting = [each for each in CUTOFFS_MM if shortest_mm <= each <= longest_mm]
+    advice = "choose points farther apart"
+    if fitting:
+        advice = f"use `cutoff` {min(fitting, key=lambda each: abs(each - cutoff_mm)):g}"
     require(
-        length_mm >= 2.0 * cutoff_mm - 1e-9,
-        f"the profile is {length_mm:.3g} mm long, and roughness needs two cut-offs of {cutoff_mm:g}"
-        " mm; choose points farther apart, or a smaller `cutoff`.",
-    )
-    require(
-        step_mm <= cutoff_mm / 8.0,
-        f"heights lie {1000 * step_mm:.3g} um apart, too far for a `cutoff` of {cutoff_mm:g} mm;"
-        " give a larger one.",
+        shortest_mm <= cutoff_mm <= longest_mm,
+        f"this section is {length_mm:.3g} mm long, with a height every {1000 * step_mm:.3g} um, and"
+        f" cannot be measured with a cut-off of {cutoff_mm:g} mm: {advice}.",
     )
     along = np.arange(len(height_mm)) * step_mm
     level = height_mm - np.polyval(np.polyfit(along, height_mm, 1), along)

@@ -7,8 +7,8 @@ the finger plane (z = 0) where this module says.
 Surfaces *along the rays*: with D the camera's height and r the distance of a surface point from the
 camera's centre, h = D log(D / r) plays the part that the height plays under parallel rays. In the
 frame that is turned so that the pixel's ray is its z axis, the slopes of the surface are the
-derivatives of h by the angle times D. So everything that is known about slopes and light under
-parallel rays holds, each pixel in its own frame.
+derivatives of h by the angle times D. So the equations of slopes and light under parallel rays hold
+in each pixel's own frame.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import cv2
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.imaging.parameters import LATTICE_PX
 from splitknit.model import Array, Camera, FloatArray
 
 
@@ -184,7 +183,8 @@ def view_of(
 def _lattice(axis: Array) -> Array:
     first = float(axis[0])
     last = float(axis[-1])
-    count = max(int(np.ceil((last - first) / LATTICE_PX)) + 1, 4)
+    # 16 pixels are fine enough for a lens's distortion, and quick
+    count = max(int(np.ceil((last - first) / 16)) + 1, 4)
     return np.linspace(first, max(last, first + 3.0), count)
 
 

@@ -1,5 +1,5 @@
-"""Projection on Fourier modes (Frankot and Chellappa 1988), and what every integrator does first
-and last."""
+"""Projection on Fourier modes (Frankot and Chellappa 1988), and the checks and mean removal that
+all integrators share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import scipy
 
 from splitknit.checks import check_mask
 from splitknit.errors import require
-from splitknit.integration.parameters import TRANSFER_SAMPLES, WORKERS
 from splitknit.model import Array, BoolArray, FloatArray
 
 
@@ -50,9 +49,7 @@ def zero_mean(height: FloatArray, mask: BoolArray) -> FloatArray:
 # has the spectrum Z = -i (w_x P + w_y Q) / |w|^2 (Frankot and Chellappa 1988, eq. 21); a filter of
 # it is one more factor, T(|w|). Outside the rectangle the gradient field is zero (``zero``), or the
 # height is mirrored about the borders (``mirror``): dz/dx then changes sign at the left and right
-# one and
-# dz/dy at the top and
-# bottom.
+# one and dz/dy at the top and bottom.
 
 Transfer = Callable[[Array], Array]
 """Gain of the height as a function of the radial frequency in radians per pixel."""
@@ -69,13 +66,13 @@ def _integrate_padded(gradient_x: FloatArray, gradient_y: FloatArray) -> FloatAr
     # at every sample.
     row_factor = np.where(np.isclose(np.abs(row_frequency), np.pi), 0.0, row_frequency)
     column_factor = np.where(np.isclose(column_frequency, np.pi), 0.0, column_frequency)
-    spectrum = scipy.fft.rfft2(gradient_x, size, workers=WORKERS)
+    spectrum = scipy.fft.rfft2(gradient_x, size, workers=2)
     spectrum *= column_factor.astype(np.float32)[None, :]
-    of_rows = scipy.fft.rfft2(-gradient_y, size, workers=WORKERS)
+    of_rows = scipy.fft.rfft2(-gradient_y, size, workers=2)
     of_rows *= row_factor.astype(np.float32)[:, None]
     spectrum += of_rows
     spectrum *= _radial_factor(row_frequency, column_frequency, None) * np.complex64(-1j)
-    result = scipy.fft.irfft2(spectrum, size, workers=WORKERS, overwrite_x=True)
+    result = scipy.fft.irfft2(spectrum, size, workers=2, overwrite_x=True)
     return result[:height, :width]
 
 
@@ -89,33 +86,26 @@ def integrate_mirrored(
     row_frequency = np.pi * np.arange(height) / height
     column_frequency = np.pi * np.arange(width) / width
     # (H, W): sine k + 1 at column k; at row k
-    along_columns = scipy.fft.dct(
-        scipy.fft.dst(gradient_x, axis=1, workers=WORKERS), axis=0, workers=WORKERS
-    )
-    along_rows = scipy.fft.dct(
-        scipy.fft.dst(-gradient_y, axis=0, workers=WORKERS), axis=1, workers=WORKERS
-    )
+    along_columns = scipy.fft.dct(scipy.fft.dst(gradient_x, axis=1, workers=2), axis=0, workers=2)
+    along_rows = scipy.fft.dct(scipy.fft.dst(-gradient_y, axis=0, workers=2), axis=1, workers=2)
     spectrum = np.zeros((height, width), dtype=np.float32)
     spectrum[:, 1:] = along_columns[:, :-1] * column_frequency.astype(np.float32)[None, 1:]
     spectrum[1:] += along_rows[:-1] * row_frequency.astype(np.float32)[1:, None]
     spectrum *= -_radial_factor(row_frequency, column_frequency, transfer)
     return np.asarray(
-        scipy.fft.idctn(spectrum, type=2, workers=WORKERS, overwrite_x=True), dtype=np.float32
+        scipy.fft.idctn(spectrum, type=2, workers=2, overwrite_x=True), dtype=np.float32
     )
 
 
 def _radial_factor(
     row_frequency: Array, column_frequency: Array, transfer: Transfer | None
 ) -> FloatArray:
-    """T(|w|) / |w|^2, zero at the origin; T by linear interpolation in a table over the radius: ten
-    times faster than exponentials of every scale at every frequency.
-    """
+    """T(|w|) / |w|^2, zero at the origin."""
     square = row_frequency[:, None] ** 2 + column_frequency[None, :] ** 2
     square[0, 0] = 1.0
     factor = 1.0 / square
     if transfer is not None:
-        radii = np.linspace(0.0, float(np.sqrt(2.0) * np.pi * 1.001), TRANSFER_SAMPLES)
-        factor *= np.interp(np.sqrt(square), radii, transfer(radii))
+        factor *= transfer(np.sqrt(square))
     factor[0, 0] = 0.0
     return factor.astype(np.float32)
 

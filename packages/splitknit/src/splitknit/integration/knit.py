@@ -10,16 +10,15 @@ from typing import Any, Literal
 import numpy as np
 import scipy
 
-from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import (
     enlarged,
     height_gradients,
     nearest_known,
     normals_from_gradients,
 )
+from splitknit.imaging.pixels import bin_mean
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.frankot_chellappa import check_fields
-from splitknit.integration.parameters import COARSE_MM, TOP_SHARE
 from splitknit.integration.poisson import poisson
 from splitknit.model import Array, BoolArray, Camera, FloatArray
 from splitknit.settings import Checked
@@ -73,12 +72,10 @@ def crossover(
         inside, difference - difference[inside].mean(dtype=np.float64), 0.0
     ).astype(np.float32)
     rows, columns = difference.shape
-    mirrored = np.pad(difference, ((0, rows), (0, columns)), mode="symmetric")
-    spectrum = scipy.fft.rfft2(mirrored, workers=2)
-    wy = 2 * np.pi * np.fft.fftfreq(2 * rows)[:, None]
-    wx = 2 * np.pi * np.fft.rfftfreq(2 * columns)[None, :]
+    # cosines: mirrored about the borders
+    wy, wx = np.ix_(*(np.pi * np.arange(n) / n for n in (rows, columns)))
     gain = np.asarray(response(np.hypot(wx, wy)), dtype=np.float32)
-    detail = scipy.fft.irfft2(spectrum * gain, mirrored.shape, workers=2)[:rows, :columns]
+    detail = scipy.fft.idctn(scipy.fft.dctn(difference, workers=2) * gain, workers=2)
     return np.where(inside, shape + detail, np.nan).astype(np.float32)
 
 
@@ -106,7 +103,8 @@ def place(  # noqa: PLR0917
     view = view_of(camera, *window, along_rays=True)
     shape = shape_mm + unevenness(shape_mm, mask, camera, window)
     for _ in range(4):  # lifting moves points along their rays
-        top = np.quantile(view.points(shape)[2][mask], TOP_SHARE)
+        # quantile of the heights that is taken for the highest point
+        top = np.quantile(view.points(shape)[2][mask], 0.998)
         shape = shape + (top_mm - top)
     whole = shape + (height_mm - shape_mm)
     x, y, z = view.points(whole)
@@ -117,13 +115,13 @@ def place(  # noqa: PLR0917
 def unevenness(
     shape_mm: FloatArray, mask: BoolArray, camera: Camera, window: tuple[slice, slice]
 ) -> FloatArray:
-    """What is missing in a surface (h, w) along the rays that was integrated as if the pixels lay
-    on a regular grid.
+    """Correction of a surface (h, w) along the rays that was integrated as if the pixels lay on a
+    regular grid.
 
     A step of one pixel turns the ray by a little less towards the image's corners, and by what the
     lens distorts.
     """
-    binning = max(1, round(COARSE_MM / camera.pitch_mm))
+    binning = max(1, round(0.2 / camera.pitch_mm))  # the unevenness is smooth
     rows, columns = (n // binning for n in mask.shape)
     if min(rows, columns) < 4:
         return np.zeros_like(shape_mm)

@@ -3,8 +3,8 @@
 Everything is written into a temporary folder beside the target and renamed at the end, so that an
 exception, an interrupt or a full disk leaves neither a half-written result nor a damaged earlier
 one. The temporary folder holds a mark of ours, what is made (``new``) and, for the moment of the
-exchange, what it replaces (``old``). What a killed program left beside a target is removed by the
-next one that writes into the same folder: only what carries the mark.
+exchange, what it replaces (``old``). Marked folders that a killed program left beside a target are
+removed by the next one that writes into the same folder.
 
 Fingerprints are personal data: whatever is written is readable by its owner alone (files 0600,
 folders 0700), or by the group too (0640, 0750) where the environment variable
@@ -14,7 +14,6 @@ folders 0700), or by the group too (0640, 0750) where the environment variable
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
 import functools
 import json
@@ -22,14 +21,13 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
 from splitknit.errors import BadInput, require
-from splitknit.files import read_bytes, refuse_links
+from splitknit.files import AnyPath, read_bytes, refuse_links
 from splitknit.interrupts import UNFINISHED
-from splitknit.io.parameters import MANIFEST_BYTES
 
 MANIFEST = ".splitknit"
 """File in every folder we write that lists what we wrote there: only that may be replaced."""
@@ -43,7 +41,7 @@ _AT_WORK: set[Path] = set()  # folders that this process is filling
 
 
 @contextlib.contextmanager
-def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[Path]:
+def atomic_folder(out: AnyPath, *, overwrite: bool = True) -> Iterator[Path]:
     """Yield a temporary folder beside `out` that becomes `out` when the block ends without an
     exception.
 
@@ -75,7 +73,7 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
 
 
 @contextlib.contextmanager
-def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+def atomic_file(path: AnyPath) -> Iterator[BinaryIO]:
     """Yield a binary file that becomes `path`, replacing a file of that name, when the block ends
     without exception. Parent folders are created. Raises BadInput if `path` is a folder or a
     device, is or lies behind a link inside a folder that the user named, or cannot be written.
@@ -97,7 +95,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         new.replace(target)
 
 
-def write_file(path: str | os.PathLike[str], data: bytes) -> None:
+def write_file(path: AnyPath, data: bytes) -> None:
     """Write `data` as the whole of a file; see :func:`atomic_file`."""
     with atomic_file(path) as stream:
         stream.write(data)
@@ -116,7 +114,7 @@ def make_folder(folder: Path) -> None:
         path.mkdir(mode, exist_ok=True)
 
 
-def _resolved(path: str | os.PathLike[str]) -> Path:
+def _resolved(path: AnyPath) -> Path:
     try:
         refuse_links(path)
         return Path(path).expanduser().resolve()
@@ -174,8 +172,8 @@ def _in_place(target: Path) -> Iterator[Path]:
 
 
 def _discard(folder: Path) -> None:
-    """Remove a temporary folder, its mark last, unless what an exchange, cut short, was to replace
-    lies in it."""
+    """Remove a temporary folder, its mark last, unless it still holds the earlier target of an
+    interrupted exchange."""
     new = folder / "new"
     old = folder / "old"
     if os.path.lexists(new) and os.path.lexists(old):
@@ -201,10 +199,7 @@ def _release(descriptor: int | None) -> None:
 def hold(stream: IO[Any], busy: str) -> None:
     """Keep other programs out until `stream` is closed. Raises BadInput, `busy`, if one holds
     it."""
-    try:
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        raise BadInput(busy) from error
+    require(_lock(stream.fileno(), fcntl.LOCK_NB), busy)
 
 
 def _lock(descriptor: int, flags: int = 0) -> bool:
@@ -338,11 +333,12 @@ def _files(folder: Path) -> list[str]:
 
 
 def manifest_of(folder: Path) -> frozenset[str]:
-    """The files that we wrote into a folder; none where it was not written whole, or its list is
-    not a plain file."""
+    """The files that splitknit wrote into a folder; empty if the folder is incomplete or its
+    manifest is not a plain file."""
     manifest = folder / MANIFEST
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError, RecursionError):
-        document = {} if manifest.is_symlink() else json.loads(read_bytes(manifest, MANIFEST_BYTES))
+        # 16 MB are 300,000 names
+        document = {} if manifest.is_symlink() else json.loads(read_bytes(manifest, 16_000_000))
         if document["format"] == "splitknit-folder":
             return frozenset(map(str, document["files"]))
     return frozenset()
@@ -363,18 +359,3 @@ def _swap(new: Path, target: Path, overwrite: bool) -> None:
         raise
     finally:
         UNFINISHED.leave()
-
-
-def append_line(path: Path, line: Mapping[str, Any]) -> None:
-    """Add a line of JSON to a log, made where there is none, whole or not at all: a regular file,
-    no link. Raises OSError.
-    """
-    flags = os.O_CREAT | os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK
-    with os.fdopen(os.open(path, flags, 0o600), "ab", buffering=0) as stream:
-        mode = os.fstat(stream.fileno()).st_mode
-        data = json.dumps(line).encode("ascii") + b"\n"
-        if not stat.S_ISREG(mode):  # a pipe that nobody empties would hold the program
-            raise OSError(errno.EINVAL, "it is not a file")
-        if (written := stream.write(data)) < len(data):
-            stream.truncate(stream.tell() - written)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

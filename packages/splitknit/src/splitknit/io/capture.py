@@ -17,18 +17,18 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from splitknit.capture import Ambient, Band, Capture, spectral_band
 from splitknit.checks import check_lights, check_mask
 from splitknit.errors import BadInput, naming, require
+from splitknit.imaging.pixels import coarse_grid
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import check_contents, image_name, mask_from_image
 from splitknit.io.fields import Version1, inside, read_document
 from splitknit.io.images import StackReader, cores, encode_image, read_image
 from splitknit.io.npz import write_npz
-from splitknit.io.parameters import AS_NEAR
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
 from splitknit.io.rig import read_rig, rig_to_json
-from splitknit.model import Band, Capture, PixelArray, Rig, coarse_grid, spectral_band
-from splitknit.steps import let_go
+from splitknit.model import PixelArray, Rig
 
 CAPTURE_FORMAT, CAPTURE_VERSION = "splitknit-capture", 1
 BANDS = ("white", "white_crossed", "nir")
@@ -88,7 +88,7 @@ class _StatedBand:
 
     band: Band  # without pixels; its files are relative to the folder
     files: tuple[Path, ...]
-    ambient: Path | None
+    dark: Path | None  # the ambient image, whose pixels `band` lacks too
     flat: tuple[Path, ...]
 
 
@@ -137,7 +137,8 @@ def _check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
     own, others = (rig.select(band.leds).light_vectors() for band in (parallel, crossed))
     near = others @ (own / np.linalg.norm(own, axis=1, keepdims=True)).T
     near /= np.linalg.norm(others, axis=1, keepdims=True)
-    same = np.diag(near) >= near.max(axis=1) - AS_NEAR
+    # difference of cosines below which a light is equally near to two others
+    same = np.diag(near) >= near.max(axis=1) - 0.01
     require(
         same.all(),
         f"{name}: image {np.argmin(same)} of bands.white_crossed is lit from another side than that"
@@ -167,20 +168,20 @@ def _stated_band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: st
     exposures = [image.exposure for image in images]
     levels = [image.black_level for image in images]
     ambient = _Image(fields.ambient) if isinstance(fields.ambient, str) else fields.ambient
-    dark = None
-    dark_exposure = dark_level = None
+    dark = unread = None
+    nothing = np.empty((0, 0, 0, 0), np.uint8)
     if ambient is not None:
         dark = inside(folder, ambient.file, name, f"bands.{key}.ambient")
-        dark_exposure = _of_ambient(ambient.exposure, exposures, f"{where}.ambient", "exposure_s")
-        dark_level = _of_ambient(ambient.black_level, levels, f"{where}.ambient", "black_level")
+        exposure = _of_ambient(ambient.exposure, exposures, f"{where}.ambient", "exposure_s")
+        level = _of_ambient(ambient.black_level, levels, f"{where}.ambient", "black_level")
+        unread = Ambient(nothing, 1.0 if exposure is None else exposure, level or 0.0)
     band = Band(
         key,
-        np.empty((0, 0, 0, 0), np.uint8),
+        nothing,
         leds,
         exposure=np.array([1.0 if value is None else value for value in exposures]),
         black_level=np.array([0.0 if value is None else value for value in levels]),
-        ambient_exposure=1.0 if dark_exposure is None else dark_exposure,
-        ambient_black_level=dark_level or 0.0,
+        ambient=unread,
         files=tuple(image.file for image in images),
         polarisation=fields.polarisation,
     )
@@ -245,8 +246,8 @@ def read_capture(
     Returns
     -------
     Capture
-        Pixels as stored, (L, H, W, C) integers per band;
-        :func:`splitknit.imaging.band.linear_stack` makes light of them.
+        Pixels as stored, (L, H, W, C) integers per band; what takes much memory is read photograph
+        by photograph (:class:`splitknit.io.paging.PagedStack`).
 
     Raises
     ------
@@ -282,7 +283,7 @@ def read_capture(
     rig_name = f"{rig_file} (is the rig for another camera?)"
     with StackReader(threads) as reader:
         stacks = {key: reader.start(each.files, size, rig_name) for key, each in stated.items()}
-        dark = {key: each.ambient for key, each in stated.items() if each.ambient is not None}
+        dark = {key: each.dark for key, each in stated.items() if each.dark is not None}
         ambients = {key: reader.start([file], size, rig_name)[0] for key, file in dark.items()}
         mask_pixels = None if mask_file is None else reader.start([mask_file], size, rig_name)[0]
         hashes = reader.finish()
@@ -295,11 +296,14 @@ def read_capture(
                 black < full,
                 f"{image} has the black level {black:g}, but its full scale is {full}.",
             )
-        band = replace(each.band, pixels=stacks[key], ambient=ambients.get(key))
+        band = replace(each.band, pixels=stacks[key])
+        if band.ambient is not None:
+            band = replace(band, ambient=replace(band.ambient, pixels=ambients[key]))
         if each.flat:
             band = replace(band, flat=np.stack([_flat_image(file) for file in each.flat]))
             others += each.flat
-        bands[key] = _seen_by(rig, band)
+        _check_colours(rig, band)
+        bands[key] = band
     if not may_be_dark:
         check_contents(bands.values())
     hashes |= {str(file): file_hash(file) for file in others}
@@ -352,11 +356,12 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
                 f"{name} does not fit the capture: LED {index}, which lit images of the band"
                 f" '{band.name}', is {there}.",
             )
-    bands = {key: _seen_by(rig, band) for key, band in capture.bands.items()}
-    if "white_crossed" in bands:
-        _check_pair(bands["white"], bands["white_crossed"], name, rig)
+    for band in capture.bands.values():
+        _check_colours(rig, band)
+    if "white_crossed" in capture.bands:
+        _check_pair(capture.bands["white"], capture.bands["white_crossed"], name, rig)
     hashes = {**capture.hashes, f"replaced rig: {Path(path).name}": file_hash(path)}
-    return replace(capture, rig=rig, bands=bands, hashes=hashes)
+    return replace(capture, rig=rig, hashes=hashes)
 
 
 def write_capture(
@@ -429,7 +434,6 @@ def write_capture(
 
         def write(image: tuple[str, PixelArray]) -> None:
             (target / image[0]).write_bytes(encode_image(image[1], ".png"))
-            let_go(image[1])
 
         with ThreadPoolExecutor(cores()) as pool:
             list(pool.map(write, images))
@@ -439,7 +443,7 @@ def write_capture(
 
 
 def photographs_hint(folder: Path) -> str:
-    """What to do with a folder of photographs where a capture is wanted, in brackets."""
+    """A hint, in brackets, for a folder of photographs that was given in place of a capture."""
     return (
         f"(photographs: splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE"
         " --out RESULT, or splitknit import)"
@@ -466,19 +470,15 @@ def _document(path: str | os.PathLike[str]) -> Path:
     return file
 
 
-def _seen_by(rig: Rig, band: Band) -> Band:
-    """The band with lens and LEDs' colours by the rig; BadInput if LEDs of several colours light a
-    grey image."""
-    colours = rig.colours_of(band.leds)
-    for k, names in enumerate(colours):
+def _check_colours(rig: Rig, band: Band) -> None:
+    """Refuse grey images that LEDs of several colours light."""
+    for k, names in enumerate(rig.colours_of(band.leds)):
         count = len(set(names))
         require(
             band.pixels.shape[3] == 3 or count == 1,
             f"{image_name(band, k)} is grey, but LEDs of {count} colours lit it; their light can be"
             " separated in colour images only.",
         )
-    crosstalk = rig.camera.crosstalk if colours else None
-    return replace(band, shading=rig.camera.shading, colours=colours, crosstalk=crosstalk)
 
 
 def _check_parts(capture: Capture) -> None:
@@ -492,11 +492,11 @@ def _check_parts(capture: Capture) -> None:
         require(
             tuple(image_size) == size
             and channels in (1, 3)
-            and count >= (1 if band.colours else 3),
+            and count >= (1 if any(led.colour for led in capture.rig.leds) else 3),
             f"the pixels of the band '{key}' have the shape {shape}; "
             f"(L, {size[0]}, {size[1]}, 1 or 3) with three images at least is expected.",
         )
-        fits = band.ambient is None or band.ambient.shape[:2] == size
+        fits = band.ambient is None or band.ambient.pixels.shape[:2] == size
         require(
             fits, f"the ambient image of the band '{key}' has another size than the rig's camera."
         )
@@ -512,9 +512,10 @@ def _check_parts(capture: Capture) -> None:
 
 
 def _is_plain(band: Band) -> bool:
-    """Whether its images need no more than their names: the exposure is 1, the black level 0."""
+    """Whether names alone describe the images: every exposure is 1 and every black level 0."""
     plain = bool((band.exposure == 1.0).all() and (band.black_level == 0.0).all())
-    return plain and band.ambient_exposure == 1.0 and band.ambient_black_level == 0.0
+    dark = band.ambient
+    return plain and (dark is None or (dark.exposure, dark.black_level) == (1.0, 0.0))
 
 
 def _band_json(band: Band, images: list[tuple[str, PixelArray]], *, plain: bool) -> JsonValue:
@@ -533,10 +534,9 @@ def _band_json(band: Band, images: list[tuple[str, PixelArray]], *, plain: bool)
     if band.polarisation:
         result["polarisation"] = band.polarisation
     if band.ambient is not None:
+        dark = band.ambient
         name = f"ambient_{band.name}.png"
-        result["ambient"] = entry(
-            name, band.ambient, band.ambient_exposure, band.ambient_black_level
-        )
+        result["ambient"] = entry(name, dark.pixels, dark.exposure, dark.black_level)
     if band.flat is not None:
         result["flat"] = [f"flat_{name}" for name in names]
         images += zip(result["flat"], band.flat[..., None], strict=True)

@@ -1,4 +1,4 @@
-"""Many fingers, one after the other, over days: which are captured, and which is next.
+"""A plan of many captures over days: which are done, and which is next.
 
 The folder holds ``enrolment.json`` (the plan) and ``S01/session_1/right_index/`` (a capture folder
 each). What is finished is read off the folders, which appear whole or not at all: stopping at any
@@ -30,14 +30,14 @@ PLAN_FILE = "enrolment.json"
 _Finger = Annotated[str, Meta(pattern=f"^({'|'.join(FINGERS)})$")]
 
 
-class EnrolmentPlan(Struct, frozen=True):
+class EnrolmentPlan(Struct, frozen=True, kw_only=True):
     """What is to be captured."""
 
+    format: Annotated[str, Meta(pattern="^(splitknit-enrolment)$")] = "splitknit-enrolment"
+    version: Version1 = 1
     subjects: Annotated[int, Meta(ge=1, le=9999)]
     sessions: Annotated[int, Meta(ge=1, le=999)]
     fingers: Annotated[tuple[_Finger, ...], Meta(min_length=1)]
-    format: Annotated[str, Meta(pattern="^(splitknit-enrolment)$")] = "splitknit-enrolment"
-    version: Version1 = 1
 
     @property
     def total(self) -> int:
@@ -49,7 +49,7 @@ class EnrolmentPlan(Struct, frozen=True):
         return tuple(f"S{number:02d}" for number in range(1, self.subjects + 1))
 
 
-THESIS = EnrolmentPlan(17, 4, FINGERS)
+THESIS = EnrolmentPlan(subjects=17, sessions=4, fingers=FINGERS)
 """17 people, all ten fingers, four sessions. Source: thesis."""
 
 
@@ -101,23 +101,17 @@ class Enrolment:
     ) -> list[PlannedCapture]:
         """What is not captured yet, in its order; of one subject, session or finger of the plan
         where named."""
-        plan = self.plan
-        days = range(1, plan.sessions + 1)
-        planned = {"subject": plan.subject_ids(), "session": tuple(days), "finger": plan.fingers}
         wanted = {"subject": subject, "session": session, "finger": finger}
-        chosen = {name: value for name, value in wanted.items() if value is not None}
-        for name, value in chosen.items():
-            known = some_of([str(each) for each in planned[name]])
+        left = list(self.places())
+        for name, value in wanted.items():
+            planned = list(dict.fromkeys(str(getattr(place, name)) for place in left))
             require(
-                value in planned[name],
-                f"{name} '{value}' is not in the plan of '{self.folder}'; it has {known}.",
+                value is None or str(value) in planned,
+                f"{name} '{value}' is not in the plan of '{self.folder}'; it has"
+                f" {some_of(planned)}.",
             )
-        return [
-            place
-            for place in self.places()
-            if all(getattr(place, name) == value for name, value in chosen.items())
-            and not self.finished(place)
-        ]
+            left = [place for place in left if value in (None, getattr(place, name))]
+        return [place for place in left if not self.finished(place)]
 
     def seeds(self, place: PlannedCapture, seed: int) -> tuple[int, int]:
         """Seed and impression of a simulated finger: every finger has its own, every session is
@@ -141,10 +135,7 @@ def open_enrolment(
     planned = plan_enrolment(folder, subjects=subjects, sessions=sessions, fingers=fingers)
     file = folder / PLAN_FILE
     if not file.is_file() or _read(file) != planned.plan:
-        names = ("format", "version", "subjects", "sessions", "fingers")
-        write_file(
-            file, json_text({name: getattr(planned.plan, name) for name in names}).encode("ascii")
-        )
+        write_file(file, json_text(asdict(planned.plan)).encode("ascii"))
     return planned
 
 

@@ -15,9 +15,11 @@ import msgspec
 
 from splitknit.errors import BadInput, refusing, require
 from splitknit.files import read_bytes
-from splitknit.io.parameters import MAX_JSON_BYTES
 
 T = TypeVar("T")
+_MAX_BYTES = 16_000_000
+"""Largest document, which takes up to 0.5 GB once parsed; the largest written by splitknit
+(minutiae in space) has 10 MB."""
 Version1 = Annotated[int, msgspec.Meta(ge=1, le=1)]
 
 
@@ -36,7 +38,7 @@ def read_json(path: Path, damaged: str | None = None) -> tuple[dict[str, Any], b
 def read_document(path: Path, kind: type[T]) -> tuple[T, bytes]:
     """Read a JSON file of a `kind` that msgspec knows; return it and its bytes; BadInput as
     :func:`converted`."""
-    data = read_bytes(path, MAX_JSON_BYTES)
+    data = read_bytes(path, _MAX_BYTES)
     return converted(parse_json(data, str(path)), kind, str(path)), data
 
 
@@ -44,8 +46,8 @@ def parse_json(data: bytes, name: str) -> Any:
     """Parse the bytes of a JSON file. Raises BadInput, with `name`, if it is too large or no JSON
     in UTF-8."""
     require(
-        len(data) <= MAX_JSON_BYTES,
-        f"{name} is too large: {len(data)} bytes, at most {MAX_JSON_BYTES} are read.",
+        len(data) <= _MAX_BYTES,
+        f"{name} is too large: {len(data)} bytes, at most {_MAX_BYTES} are read.",
     )
     try:
         return msgspec.json.decode(data.removeprefix(b"\xef\xbb\xbf"))
@@ -82,7 +84,7 @@ def inside(folder: Path, value: str, file: str, field: str) -> Path:
     """Path `value`, relative to `folder`, in `field` of `file`; BadInput if empty, absolute, or
     beyond the folder."""
     what = f"{file}: {field}"
-    require(bool(value.strip()), f"{what} must be the name of a file, but it is empty.")
+    require(value.strip(), f"{what} must be the name of a file, but it is empty.")
     parts = value.replace("\\", "/").split("/")
     with refusing(f"{what} is not a usable file name: {value[:60]!a}."):
         place = (folder / "/".join(parts)).resolve()

@@ -14,7 +14,7 @@ import os
 import struct
 import threading
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,19 +32,9 @@ from PIL.WebPImagePlugin import WebPImageFile
 from splitknit.errors import refusing, require
 from splitknit.files import read_bytes
 from splitknit.io.atomic import write_file
-from splitknit.io.parameters import (
-    DECODED_BYTES,
-    LARGEST_RATIO,
-    MAPPED_BYTES,
-    MAX_BYTES,
-    MAX_PIXELS,
-    MAX_SCANS,
-    STACK_BYTES,
-    TEXT_BYTES,
-)
+from splitknit.io.paging import new_stack
 from splitknit.io.provenance import canonical_json
 from splitknit.model import PixelArray
-from splitknit.steps import large_array, let_go
 
 PNG, JPEG, WEBP, BMP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"BM"
 """First bytes of files."""
@@ -66,8 +56,13 @@ _RESOLUTION_UNIT = 296
 """Tag of TIFF. Source: TIFF 6.0."""
 _ALPHA = (1, 2)
 """Alpha, associated or not. Source: TIFF 6.0, tag ExtraSamples."""
+_STRIPS = (273, 279, 324, 325)
+"""Tags of the places and lengths of strips and of tiles. Source: TIFF 6.0."""
 _CM_PER_INCH = 2.54
 """Centimetres in an inch. Source: definition of the inch."""
+
+SizeCheck = Callable[[int, int], None]
+"""Gets rows and columns of a picture, upright, before memory is taken for it; raises BadInput."""
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # else it writes to stderr
 
@@ -127,6 +122,8 @@ class _Quiet:
 
 
 _QUIET = _Quiet()
+MAX_PIXELS = 200_000_000
+"""Maximum pixels of one image: a small damaged file can claim any number."""
 
 
 def read_header(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> Header:
@@ -135,29 +132,78 @@ def read_header(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> Header:
     Raises BadInput, with `name`, if the header is damaged, the file of another kind, or the image
     larger than `max_pixels` or 400 MB once decoded.
     """
+    _check_parts(data, name)
     header = _tiff_header(data, name) if data.startswith(TIFFS) else _pillow_header(data, name)
     decoded = check_size(
         header.rows, header.columns, header.channels * header.dtype.itemsize, name, max_pixels
     )
+    # bytes that one byte of a file can become: of a WEBP or a palette of one bit, the densest
     require(
-        decoded <= LARGEST_RATIO * len(data),
+        decoded <= 50_000 * len(data),
         f"{name} is damaged: it claims {header.rows} x {header.columns} pixels"
         f", which cannot be in {len(data)} bytes; copy it again.",
     )
     return header
 
 
+_METADATA_PARTS = 1000
+"""Chunks of a PNG file and segments of a JPEG file at most, beside those of the image."""
+_IMAGE_PARTS = 100_000
+"""Chunks of a PNG's image, and strips or tiles of a TIFF's, at most: 400 MB in libpng's 8 kB are
+50,000."""
+
+
+def _check_parts(data: bytes, name: str) -> None:
+    """Refuse files with implausibly many chunks (PNG), markers (JPEG), or tags and strips (TIFF):
+    each costs the decoders 20 us or 100 bytes."""
+    metadata, image = 0, 0
+    with contextlib.suppress(struct.error):  # it ends here, which its reader reports
+        if data.startswith(PNG):
+            place = 8
+            while max(metadata * _IMAGE_PARTS // _METADATA_PARTS, image) <= _IMAGE_PARTS:
+                length, kind = struct.unpack_from(">I4s", data, place)
+                place += length + 12
+                metadata, image = metadata + (kind != b"IDAT"), image + (kind == b"IDAT")
+        elif data.startswith(JPEG):
+            place = 2
+            while metadata <= _METADATA_PARTS:
+                fill, marker, length = struct.unpack_from(">BBH", data, place)
+                if (fill, marker) == (0xFF, 0xDA):  # the image
+                    break
+                segment = fill == 0xFF and 0xC0 <= marker < 0xFF and not 0xD0 <= marker <= 0xD9
+                place += 2 + length if segment else 1
+                metadata += 1
+        elif data.startswith(TIFFS):
+            order, big = "<" if data.startswith(b"II") else ">", b"+" in data[2:4]
+            (place,) = struct.unpack_from(order + "IQ"[big], data, 4 + 4 * big)
+            (metadata,) = struct.unpack_from(order + "HQ"[big], data, place)
+            for k in range(min(metadata, _METADATA_PARTS)):
+                entry = place + (8 + 20 * k if big else 2 + 12 * k)
+                tag, _, count = struct.unpack_from(order + ("HHQ" if big else "HHI"), data, entry)
+                image = max(image, count if tag in _STRIPS else 0)
+    require(
+        metadata <= _METADATA_PARTS and image <= _IMAGE_PARTS,
+        f"{name} has more chunks, segments, tags ({_METADATA_PARTS}) or strips ({_IMAGE_PARTS})"
+        " than any picture; save it again.",
+    )
+
+
+_DECODED_BYTES = 400_000_000
+"""Bytes of one decoded image, at most: 130 million pixels of 8-bit RGB. Decoders of C hold a second
+copy beside it."""
+
+
 def check_size(
     rows: int, columns: int, bytes_each: int, name: str, max_pixels: int = MAX_PIXELS
 ) -> int:
-    """The bytes of an image once decoded, refused if it has too many, or no pixel; `bytes_each`: of
-    a pixel."""
+    """Size in bytes of an image once decoded; BadInput if it is too large or empty. `bytes_each`:
+    of a pixel."""
     size = f"{name} claims {rows} x {columns} pixels"
     require(0 < rows * columns <= max_pixels, f"{size}, more than the {max_pixels} that are read.")
     decoded = rows * columns * bytes_each
     require(
-        decoded <= DECODED_BYTES,
-        f"{size}, {decoded} bytes once decoded, more than the {DECODED_BYTES} that are read;"
+        decoded <= _DECODED_BYTES,
+        f"{size}, {decoded} bytes once decoded, more than the {_DECODED_BYTES} that are read;"
         " reduce the image.",
     )
     return decoded
@@ -233,7 +279,7 @@ def _tiff_header(data: bytes, name: str) -> Header:
         ppi = _tiff_ppi(page)
         photometric = int(page.photometric)
         planes = int(page.planarconfig or 1)
-        text = page.description[:TEXT_BYTES]
+        text = page.description[:1_000_000]
     require(
         page.imagedepth == 1 and min(rows, columns) > 0,
         f"{name} is not a single flat image; save it as PNG.",
@@ -295,6 +341,11 @@ def decode_pixels(data: bytes, header: Header, name: str) -> NDArray[Any]:
     return np.asarray(np.iinfo(header.dtype).max - pixels) if inverted else pixels
 
 
+_MAX_SCANS = 100
+"""Scans of a JPEG file at most: each costs a pass through the whole image; a progressive image has
+about ten."""
+
+
 def _check_whole(data: bytes, name: str) -> None:
     """Refuse PNG and JPEG files of which a part is missing, or damaged where there are
     checksums."""
@@ -314,8 +365,8 @@ def _check_whole(data: bytes, name: str) -> None:
             f"{name} is truncated: the JPEG file ends within the image; copy it again.",
         )
         require(
-            data.count(b"\xff\xda") <= MAX_SCANS,
-            f"{name} is damaged: it has more than {MAX_SCANS} JPEG scans; copy it again.",
+            data.count(b"\xff\xda") <= _MAX_SCANS,
+            f"{name} is damaged: it has more than {_MAX_SCANS} JPEG scans; copy it again.",
         )
 
 
@@ -341,11 +392,16 @@ def decoded(data: bytes, name: str) -> NDArray[Any]:
     )
 
 
-def read_image(path: str | os.PathLike[str]) -> PixelArray:
+MAX_BYTES = 600_000_000
+"""Maximum size of an image file."""
+
+
+def read_image(path: str | os.PathLike[str], check: SizeCheck | None = None) -> PixelArray:
     """Read a PNG, TIFF or JPEG file as (H, W, C) uint8 or uint16 in RGB order, C = 1 (grey) or 3.
 
     Pixels come as stored: no colour profile is applied, EXIF orientation is ignored, alpha is
-    dropped, a PNG palette is expanded. Raises BadInput if the file is missing, truncated, damaged,
+    dropped, a PNG palette is expanded. `check` is called with rows and columns before memory is
+    taken, and may raise. Raises BadInput if the file is missing, truncated, damaged,
     too large, or not 8- or 16-bit grey or RGB.
 
     >>> import numpy as np, tempfile, pathlib
@@ -354,7 +410,7 @@ def read_image(path: str | os.PathLike[str]) -> PixelArray:
     >>> read_image(path).shape
     (2, 3, 1)
     """
-    return decode_image(read_bytes(path, MAX_BYTES), str(path))
+    return decode_image(read_bytes(path, MAX_BYTES), str(path), check=check)
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -363,9 +419,14 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     return header.rows, header.columns
 
 
-def decode_image(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> PixelArray:
+def decode_image(
+    data: bytes, name: str, max_pixels: int = MAX_PIXELS, check: SizeCheck | None = None
+) -> PixelArray:
     """Decode the bytes of an image file; see :func:`read_image`."""
-    return _plain_pixels(data, read_header(data, name, max_pixels), name)
+    header = read_header(data, name, max_pixels)
+    if check is not None:
+        check(header.rows, header.columns)
+    return _plain_pixels(data, header, name)
 
 
 def _plain_pixels(data: bytes, header: Header, name: str) -> PixelArray:
@@ -391,6 +452,11 @@ def cores() -> int:
     return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
 
 
+STACK_BYTES = 4_000_000_000
+"""Maximum size of all decoded images of a capture: 80 images of the rig's camera in 16-bit
+colour."""
+
+
 class StackReader:
     """Decodes many files at once, each into its place in a stack. A context manager; call
     :meth:`start` for each stack, then :meth:`finish`: all share the threads.
@@ -409,8 +475,8 @@ class StackReader:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def start(self, files: Sequence[Path], size: tuple[int, int], expected_by: str) -> PixelArray:
-        """The stack (L, H, W, C) that :meth:`finish` fills; `expected_by`: who wants `size` (rows,
-        columns)."""
+        """Start decoding into a stack (L, H, W, C), complete after :meth:`finish`; `expected_by`:
+        what requires `size` (rows, columns), for messages."""
         like = read_header(read_bytes(files[0], MAX_BYTES), str(files[0]))
         _check_size(like, size, str(files[0]), expected_by)
         self._bytes += len(files) * size[0] * size[1] * like.channels * like.dtype.itemsize
@@ -420,11 +486,7 @@ class StackReader:
             f" the {STACK_BYTES} that are read at once; reduce them, or name fewer.",
         )
         shape = (len(files), *size, like.channels)
-        stack = (
-            large_array(shape, like.dtype)
-            if self._bytes > MAPPED_BYTES
-            else np.empty(shape, dtype=like.dtype)
-        )
+        stack = new_stack(shape, like.dtype)
 
         def read(k: int) -> str:
             name = str(files[k])
@@ -437,7 +499,6 @@ class StackReader:
                 " must agree.",
             )
             stack[k] = _plain_pixels(data, header, name)
-            let_go(stack)
             return hashlib.sha256(data).hexdigest()
 
         self._jobs += [(str(file), self._pool.submit(read, k)) for k, file in enumerate(files)]
@@ -508,9 +569,13 @@ def png_bytes(image: NDArray[Any], strategy: int, row_filter: int) -> bytes:
 def encode_tiff(
     image: NDArray[Any], description: str | None = None, ppi: float | None = None
 ) -> bytes:
-    """Uncompressed TIFF of (H, W) or (H, W, 3); equal input gives equal bytes."""
+    """Uncompressed TIFF of (H, W) or (H, W, 3); equal input gives equal bytes. `description`: ASCII
+    JSON."""
     import tifffile  # slow
 
+    if description is not None:
+        # tifffile takes JSON that holds this key, at any depth, for its own description of an array
+        description = description.replace('"shape":', r'"\u0073hape":')
     stream = io.BytesIO()
     tifffile.imwrite(
         stream,

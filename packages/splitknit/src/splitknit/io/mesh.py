@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.imaging.band import CHANNELS
+from splitknit.files import AnyPath
+from splitknit.imaging.pixels import CHANNELS
 from splitknit.io.atomic import atomic_file
-from splitknit.io.parameters import MESH_CHUNK
 from splitknit.model import BoolArray, FloatArray
 
 _VERTEX = [("place", "<f4", (3,)), ("normal", "<f4", (3,)), ("quality", "<f4")]
+_CHUNK = 1 << 16
+"""Vertices or triangles that fit into a core's cache."""
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
 
 
@@ -37,7 +38,7 @@ def triangulate(valid: BoolArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]
 
 
 def write_ply(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     vertices: tuple[FloatArray, FloatArray, FloatArray],
     faces: NDArray[np.int32],
     comments: Sequence[str] = (),
@@ -66,15 +67,15 @@ def write_ply(
     ]
     with atomic_file(path) as stream:
         stream.write("\n".join(header).encode("ascii"))
-        for start in range(0, len(vertices[0]), MESH_CHUNK):
-            place, normal, quality = (values[start : start + MESH_CHUNK] for values in vertices)
+        for start in range(0, len(vertices[0]), _CHUNK):
+            place, normal, quality = (values[start : start + _CHUNK] for values in vertices)
             points = np.empty(len(place), dtype=vertex)
             points["place"], points["normal"], points["quality"] = place, normal, quality
             if colours is not None:
-                points["colour"] = colours[start : start + MESH_CHUNK]
+                points["colour"] = colours[start : start + _CHUNK]
             stream.write(points.data)
-        for start in range(0, len(faces), MESH_CHUNK):
-            corners = faces[start : start + MESH_CHUNK]
+        for start in range(0, len(faces), _CHUNK):
+            corners = faces[start : start + _CHUNK]
             triangles = np.empty(len(corners), dtype=_FACE)
             triangles["count"] = 3
             triangles["corners"] = corners

@@ -6,28 +6,28 @@ a tenth of the size of a finger's surface, so that they are stored as they are.
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import zipfile
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
 
 from splitknit.errors import refusing, require
-from splitknit.files import open_file
+from splitknit.files import AnyPath, open_file
 from splitknit.io.atomic import atomic_file
-from splitknit.io.parameters import ARRAYS_FILE_BYTES, LONG_FIELDS_BYTES, RESULT_BYTES
 
 
-def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
+def write_npz(path: AnyPath, arrays: Mapping[str, Any]) -> None:
     """Write arrays and numbers, in order, as ``.npz``; equal input gives equal bytes. Raises
     BadInput if a name or an array cannot be stored (objects), or on writing.
     """
     for name, value in arrays.items():
         require(
-            bool(name) and name.isascii() and not set(name) & set("/\\\0"),
+            name and name.isascii() and not set(name) & set("/\\\0"),
             f"an array cannot be named {name!r}.",
         )
         objects = np.asarray(value).dtype.hasobject
@@ -39,17 +39,19 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
             member.compress_type = (
                 zipfile.ZIP_STORED if array.dtype == np.float32 else zipfile.ZIP_DEFLATED
             )
-            with archive.open(member, "w", force_zip64=array.nbytes > LONG_FIELDS_BYTES) as content:
+            # the format's longer fields
+            with archive.open(member, "w", force_zip64=array.nbytes > 1 << 30) as content:
                 npy.write_array(content, array, allow_pickle=False)
 
 
 def read_npz(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     names: Collection[str] | None = None,
-    max_bytes: int = RESULT_BYTES,
+    max_bytes: int = 600_000_000,
 ) -> dict[str, np.ndarray[Any, Any]]:
     """Arrays of an ``.npz`` file, those of `names` that are there, or all; no pickled objects.
-    Raises BadInput if the file is missing or damaged, or larger than `max_bytes` in all.
+    Raises BadInput if the file is missing or damaged, or larger than `max_bytes` in all (by
+    default, a result of 25 million pixels, three times the rig's).
     """
     name = os.fspath(path)
     damaged = (
@@ -57,7 +59,7 @@ def read_npz(
         " again."
     )
     with (
-        open_file(path, ARRAYS_FILE_BYTES) as (stream, _),
+        open_file(path, 1 << 32) as (stream, _),
         refusing(damaged),
         zipfile.ZipFile(stream) as archive,
     ):
@@ -70,22 +72,28 @@ def read_npz(
             size <= max_bytes,
             f"{name} holds arrays of {size} bytes, but at most {max_bytes} are read.",
         )
-        return {key: _array(archive, member, damaged) for key, member in chosen.items()}
+        arrays = {}
+        for key, member in chosen.items():
+            with archive.open(member) as content:
+                arrays[key] = _array(content, member.file_size, damaged)
+        return arrays
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, damaged: str) -> np.ndarray[Any, Any]:
-    """The array of a file of an archive; its header must fit the size that the archive gives."""
-    with archive.open(member) as content:
-        first = npy.read_magic(content) == (1, 0)
-        shape, _, dtype = (npy.read_array_header_1_0 if first else npy.read_array_header_2_0)(
-            content
-        )
-        bytes_of_array = dtype.itemsize * math.prod(shape)
-        require(
-            min(shape, default=1) >= 0 and content.tell() + bytes_of_array == member.file_size,
-            damaged,
-        )
-        content.seek(0)
-        array = npy.read_array(content, allow_pickle=False)
-        require(not content.read(1), damaged)  # and its checksum is compared
+def read_npy(data: bytes, name: str) -> np.ndarray[Any, Any]:
+    """The array of the bytes of an ``.npy`` file, no pickled objects. Raises BadInput if they are
+    damaged."""
+    damaged = f"{name} is damaged, or no .npy file of numbers; write it again."
+    with refusing(damaged):
+        return _array(io.BytesIO(data), len(data), damaged)
+
+
+def _array(content: IO[bytes], size: int, damaged: str) -> np.ndarray[Any, Any]:
+    """The array of a file of `size` bytes, which its header must fit."""
+    first = npy.read_magic(content) == (1, 0)
+    shape, _, dtype = (npy.read_array_header_1_0 if first else npy.read_array_header_2_0)(content)
+    bytes_of_array = dtype.itemsize * math.prod(shape)
+    require(min(shape, default=1) >= 0 and content.tell() + bytes_of_array == size, damaged)
+    content.seek(0)
+    array = npy.read_array(content, allow_pickle=False)
+    require(not content.read(1), damaged)  # of an archive, its checksum is compared
     return array

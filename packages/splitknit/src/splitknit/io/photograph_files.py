@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from splitknit.errors import BadInput, require
-from splitknit.io.parameters import MAX_PHOTOGRAPHS
 from splitknit.io.photos import SUFFIXES
 
 LIGHT_LISTS = ("lights.txt", "light_directions.txt")
@@ -18,7 +17,7 @@ INTENSITIES = "light_intensities.txt"
 
 
 class FolderContent(NamedTuple):
-    """What a folder of photographs holds."""
+    """Files of a folder of photographs, by use."""
 
     photographs: list[Path]
     """In the order of the lights."""
@@ -55,7 +54,7 @@ def photographs_in(
     else:
         files, skipped = _listed(folder, used)
     require(
-        len(files) <= MAX_PHOTOGRAPHS,
+        len(files) <= 1000,
         f"{folder} holds {len(files)} photographs; at most 1000 are read.",
     )
     masks = [file for file in files if find_mask and file.stem.lower() == "mask"]

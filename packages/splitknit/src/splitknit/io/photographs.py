@@ -11,21 +11,17 @@ from cyclopts import Parameter
 
 from splitknit.arguments import PYTHON_ONLY, AnyPath, Encoding, refuse_given
 from splitknit.errors import require
-from splitknit.io.parameters import SCALE_LIMITS
 from splitknit.settings import Limits, check_value, rules_of
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    from splitknit.model import Array, Rig
 
-    from splitknit.model import Rig
-
-    Lights = AnyPath | NDArray[np.float64] | Rig
+    Lights = AnyPath | Array | Rig
 else:
     Lights = AnyPath
 
 
-SCALES = Limits(*SCALE_LIMITS)
+SCALES = Limits(1e-3, 1e5)
 """Of pixels a mm."""
 _ANGLE = Limits(-360, 360)
 """Angles in degrees. Source: definition of a full turn."""
@@ -54,7 +50,7 @@ class GivenPhotographs:
     up, z to the camera; a fourth number is its brightness (a fourth to sixth: red, green, blue),
     else light_intensities.txt beside the list has it; places in mm where the first line is 'x_mm
     y_mm z_mm', angles where it is 'azimuth_deg elevation_deg' (counter-clockwise from x; 90 at the
-    camera); also .lp files of RTI and rig files; unknown: they are estimated (default:
+    camera); also rig files, .lp of RTI, .dome of Relight; unknown: they are estimated (default:
     lights.txt beside the images)."""
     px_per_mm: Annotated[float | None, SCALES] = None
     """Scale on the object, where the input has none; without it heights are in pixels."""

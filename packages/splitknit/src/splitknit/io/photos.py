@@ -20,16 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, refusing, require
-from splitknit.files import read_bytes
-from splitknit.io.images import Header, check_size, decode_pixels, read_header
-from splitknit.io.parameters import MAX_BYTES
+from splitknit.files import AnyPath, read_bytes
+from splitknit.io.images import MAX_BYTES, Header, SizeCheck, check_size, decode_pixels, read_header
 from splitknit.model import BoolArray
 
 RAW_SUFFIXES = frozenset(
     {".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}
 )
 SRGB_SUFFIXES = frozenset({".jpg", ".jpeg", ".webp", ".heic", ".heif"})
-"""What cameras and telephones write with a tone curve."""
+"""Suffixes of files that have a tone curve."""
 SUFFIXES = RAW_SUFFIXES | SRGB_SUFFIXES | {".png", ".tif", ".tiff", ".bmp"}
 FORMATS = "JPEG, PNG, TIFF, WEBP, BMP, HEIC and camera RAW"
 _EXTRA = (
@@ -55,35 +54,37 @@ class Photo:
     """(H, W) what is not transparent, by half or more; None where all is opaque."""
 
 
-def read_photo(path: str | os.PathLike[str]) -> Photo:
+def read_photo(path: AnyPath, check: SizeCheck | None = None) -> Photo:
     """Read a photograph, turned upright as its EXIF data say.
 
     RAW is demosaiced to linear 16-bit light in the camera's own colours, black level taken off: no
     white balance, no tone curve, no automatic brightness. `path`: JPEG, PNG, TIFF (8- or 16-bit or
-    float), WEBP, BMP, HEIC or RAW file. Raises BadInput if the file is missing, damaged, larger
+    float), WEBP, BMP, HEIC or RAW file; `check` is called with rows and columns before memory is
+    taken, and may raise. Raises BadInput if the file is missing, damaged, larger
     than 400 MB once decoded, of another kind, or of a kind whose package is not installed.
 
     >>> read_photo("photos/IMG_1.HEIC").pixels.shape  # doctest: +SKIP
     (3024, 4032, 3)
     """
-    return decode_photo(read_bytes(path, MAX_BYTES), os.fspath(path))
+    return decode_photo(read_bytes(path, MAX_BYTES), os.fspath(path), check)
 
 
-def decode_photo(data: bytes, name: str) -> Photo:
+def decode_photo(data: bytes, name: str, check: SizeCheck | None = None) -> Photo:
     """Decode the bytes of a photograph, as :func:`read_photo`; `name`: for messages; its suffix
     shows camera RAW."""
     if Path(name).suffix.lower() in RAW_SUFFIXES:
-        pixels, orientation = _raw(data, name)
+        pixels, orientation = _raw(data, name, check)
     elif data[4:8] == b"ftyp":
-        pixels = _heic(data, name)
+        pixels = _heic(data, name, check)
         orientation = 1  # its turns are part of the picture, and undone with it
     else:
         header = read_header(data, name)
-        pixels = decode_pixels(data, header, name)
         orientation = header.orientation
+        _check_upright(check, header.rows, header.columns, orientation)
+        pixels = decode_pixels(data, header, name)
     if pixels.dtype.kind == "f":
         require(
-            bool(np.isfinite(pixels).all() and np.abs(pixels).max() < 1e30),
+            np.isfinite(pixels).all() and np.abs(pixels).max() < 1e30,
             f"{name} holds values that are not finite; export it again without them.",
         )
         pixels = pixels.astype(np.float32)
@@ -98,16 +99,20 @@ def decode_photo(data: bytes, name: str) -> Photo:
     return Photo(colours, orientation, hashlib.sha256(data).hexdigest(), opaque)
 
 
+def _check_upright(check: SizeCheck | None, rows: int, columns: int, orientation: int) -> None:
+    if check is not None:
+        check(*((rows, columns) if orientation < 5 else (columns, rows)))
+
+
 def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) -> tuple[str, str]:
-    """Encoding of photographs whose encoding nobody has given, and a note on it; the same rule for
-    every verb.
+    """Encoding of photographs that came without one, and a note on it; the same rule for every
+    verb.
 
     Camera RAW is linear; JPEG, WEBP and HEIC are sRGB; PNG is what its chunks sRGB, gAMA and iCCP
-    state. Of other files those of 16 bits and of floats are linear, and those of 8 bits what fits
-    their shading better, sRGB where that decides nothing. `files`: photographs; `by_shading`:
-    whether it is sRGB that fits, None where nothing decides, see
-    :func:`splitknit.imaging.response.shading_is_srgb`; called where it decides. Raises BadInput if
-    some have a tone curve and some have none.
+    state. Other files of 16 bits or floats are linear; those of 8 bits have the encoding that fits
+    their shading better, or sRGB if both fit. `by_shading`: returns whether sRGB fits better, None
+    if both fit, see :func:`splitknit.observation.encoding.shading_is_srgb`; called only if needed.
+    Raises BadInput if some have a tone curve and some have none.
     """
     encodings = {_stated_encoding(file) for file in files}
     require(
@@ -121,23 +126,20 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
         why = "stated in" if suffix == ".png" else "assumed of"
         return stated, f"encoding {stated} is {why} the {suffix} files (`encoding` changes it)."
     curved = by_shading()
-    if curved is not False and _header_of(files[0]).dtype == np.uint8:
-        if curved is None:
-            remedy = "give `encoding` linear if an industrial camera or a renderer saved them."
-            return (
-                "srgb",
-                (
-                    f"encoding srgb is assumed of the {suffix} files of 8 bits, which state none;"
-                    f" {remedy}"
-                ),
-            )
-        note = (
+    if curved is False or _header_of(files[0]).dtype != np.uint8:
+        return "linear", (
+            f"encoding linear is assumed of the {suffix} files, which state none; give `encoding`"
+            " srgb if a program for pictures or a telephone saved them."
+        )
+    if curved:
+        return "srgb", (
             f"encoding srgb fits the shading in the {suffix} files better than linear (`encoding`"
             " changes it)."
         )
-        return "srgb", note
-    remedy = "give `encoding` srgb if a program for pictures or a telephone saved them."
-    return "linear", f"encoding linear is assumed of the {suffix} files, which state none; {remedy}"
+    return "srgb", (
+        f"encoding srgb is assumed of the {suffix} files of 8 bits, which state none; give"
+        " `encoding` linear if an industrial camera or a renderer saved them."
+    )
 
 
 def _stated_encoding(file: Path) -> str:
@@ -163,7 +165,7 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
     return np.ascontiguousarray(pixels)
 
 
-def _heic(data: bytes, name: str) -> NDArray[Any]:
+def _heic(data: bytes, name: str, check: SizeCheck | None) -> NDArray[Any]:
     try:
         import pillow_heif  # of the extra `photos`
     except ImportError as error:
@@ -172,12 +174,13 @@ def _heic(data: bytes, name: str) -> NDArray[Any]:
         image = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
         columns, rows = image.size
         check_size(rows, columns, 8, name)
+        _check_upright(check, rows, columns, 1)
         values = np.asarray(image)
         require(values.shape[:2] == (rows, columns), _UNREADABLE.format(name))
         return values.reshape(rows, columns, -1)
 
 
-def _raw(data: bytes, name: str) -> tuple[NDArray[Any], int]:
+def _raw(data: bytes, name: str, check: SizeCheck | None) -> tuple[NDArray[Any], int]:
     try:
         import rawpy  # of the extra `photos`
     except ImportError as error:
@@ -188,6 +191,8 @@ def _raw(data: bytes, name: str) -> tuple[NDArray[Any], int]:
     ):
         sizes = raw.sizes
         check_size(max(sizes.raw_height, sizes.height), max(sizes.raw_width, sizes.width), 6, name)
+        orientation = _RAW_TURNS.get(int(sizes.flip), 1)
+        _check_upright(check, sizes.height, sizes.width, orientation)
         pixels = raw.postprocess(
             gamma=(1, 1),
             no_auto_bright=True,
@@ -199,4 +204,4 @@ def _raw(data: bytes, name: str) -> tuple[NDArray[Any], int]:
             output_color=rawpy.ColorSpace.raw,
             user_flip=0,
         )
-        return pixels, _RAW_TURNS.get(int(sizes.flip), 1)
+        return pixels, orientation

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import bounding_box
 from splitknit.io.images import png_bytes
-from splitknit.io.parameters import DIVERGING
-from splitknit.model import BoolArray, FloatArray, Reconstruction
+from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.reconstruction import Reconstruction
 
 ColourArray = NDArray[np.uint8]
 """(H, W, 3) red, green, blue."""
@@ -22,28 +22,27 @@ ColourArray = NDArray[np.uint8]
 PAPER = (255, 255, 255)
 """White. Source: definition."""
 ORANGE = (213, 94, 0)
-"""A colour that stays apart from `BLUE` and `SKY` for colour-blind readers. Source: Okabe and Ito
+"""A colour that colour-blind readers can distinguish from `BLUE` and `SKY`. Source: Okabe and Ito
 2008."""
 BLUE = (0, 114, 178)
 """As `ORANGE`. Source: Okabe and Ito 2008."""
 SKY = (86, 180, 233)
 """As `ORANGE`. Source: Okabe and Ito 2008."""
-_DIVERGING = np.array(DIVERGING, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureFrame:
     """A small upright frame over a part of a large input."""
 
-    input_from_picture: NDArray[np.float64]  # (3, 3) on (column, row, 1)
+    input_from_picture: Array  # (3, 3) on (column, row, 1)
     size: tuple[int, int]  # rows, columns of the picture
     pitch_mm: float  # size of one picture pixel
 
 
-def upright_frame(result: Reconstruction, longest: int, margin_mm: float = 0.8) -> PictureFrame:
-    """Return the upright frame that holds the mask with a margin and has at most `longest` pixels a
-    side."""
-    margin = margin_mm / result.pitch_mm + 4.0
+def upright_frame(result: Reconstruction, longest: int) -> PictureFrame:
+    """Return the upright frame that holds the mask with a margin of 0.8 mm and has at most
+    `longest` pixels a side."""
+    margin = 0.8 / result.pitch_mm + 4.0
     (left, top), (right, bottom) = np.add(
         upright_limits(result), ((-margin, -margin), (margin, margin))
     ).tolist()
@@ -55,8 +54,9 @@ def upright_frame(result: Reconstruction, longest: int, margin_mm: float = 0.8) 
     return PictureFrame(result.input_from_upright @ to_upright, size, result.pitch_mm * step)
 
 
-def upright_limits(result: Reconstruction) -> NDArray[np.float64]:
-    """Least and largest (column, row) of the upright frame in the mask, pixels, (2, 2)."""
+def upright_limits(result: Reconstruction) -> Array:
+    """Smallest and largest (column, row), in pixels of the upright frame, that the mask reaches,
+    (2, 2)."""
     rows = np.flatnonzero(result.mask.any(axis=1))
     first = result.mask[rows].argmax(axis=1)
     last = result.mask.shape[1] - 1 - result.mask[rows, ::-1].argmax(axis=1)
@@ -66,13 +66,32 @@ def upright_limits(result: Reconstruction) -> NDArray[np.float64]:
     return np.stack([upright.min(axis=1), upright.max(axis=1)])
 
 
-def upright_turn(input_from_upright: NDArray[np.floating]) -> NDArray[np.float64]:
+def upright_turn(input_from_upright: NDArray[np.floating]) -> Array:
     """Rotation (2, 2) that takes (x, y) of the rig's frame to the upright finger's (x right, y to
     the tip)."""
     turn = np.linalg.inv(input_from_upright[:2, :2])
     turn = turn / np.sqrt(abs(np.linalg.det(turn)))
     flip = np.diag([1.0, -1.0])  # rows run down, y runs up
     return np.asarray(flip @ turn @ flip)
+
+
+def upright_places(
+    shape: tuple[int, int],
+    pitch_mm: float,
+    input_from_upright: NDArray[np.floating],
+    part: tuple[slice, slice],
+    xy_mm: tuple[FloatArray, FloatArray] | None,
+) -> tuple[FloatArray, FloatArray]:
+    """x and y (h, w) of a part of a camera's pixel grid (H, W) in the upright finger's frame;
+    `xy_mm`: those of a perspective camera in the rig's frame, (H, W)."""
+    if xy_mm is None:
+        height, width = shape
+        x = ((np.arange(width) - (width - 1) / 2) * pitch_mm)[None, part[1]]
+        y = (((height - 1) / 2 - np.arange(height)) * pitch_mm)[part[0], None]
+    else:
+        x, y = (field[part] for field in xy_mm)
+    turn = upright_turn(input_from_upright)
+    return turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
 
 
 def to_frame(
@@ -91,40 +110,32 @@ def fields_to_frame(
 ) -> tuple[list[FloatArray], FloatArray]:
     """Several fields of one mask, as :func:`to_frame` averages them, and their weight."""
     step = float(np.sqrt(abs(np.linalg.det(frame.input_from_picture[:2, :2]))))
-    factor = max(1, int(step + 0.01))  # side of whole blocks up to the picture's pixel
-    rows, columns = bounding_box(mask) if mask.any() else (slice(1), slice(1))
-    top, left = (part.start // factor * factor for part in (rows, columns))
-    window = slice(top, rows.stop), slice(left, columns.stop)
-    x, y = (start + (factor - 1) / 2 for start in (left, top))
-    input_from_block = np.array([[factor, 0.0, x], [0.0, factor, y], [0.0, 0.0, 1.0]])
+    box = bounding_box(mask) if mask.any() else (slice(0, 1), slice(0, 1))
+    inside = mask[box].view(np.uint8)
+    # first means over blocks of nearly the picture's pixel, then bilinear
+    size = [max(1, round(n / max(1.0, step))) for n in inside.shape[::-1]]
+    input_from_block = np.eye(3)
+    for axis, part in enumerate(box[::-1]):
+        side = inside.shape[1 - axis] / size[axis]
+        input_from_block[axis, axis] = side
+        input_from_block[axis, 2] = part.start + (side - 1) / 2
     block_from_picture = (np.linalg.inv(input_from_block) @ frame.input_from_picture)[:2]
-    inside = mask[window].view(np.uint8)
 
     def averaged(field: NDArray[np.generic]) -> FloatArray:
+        known = cv2.copyTo(field.astype(np.float32, copy=False), inside)
+        blocks = cv2.resize(known, size, interpolation=cv2.INTER_AREA)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        blocks = _block_means(field, inside, factor)
         return np.asarray(cv2.warpAffine(blocks, block_from_picture, frame.size[::-1], flags=flags))
 
     weight = averaged(inside)
     divisor = np.maximum(weight, 1e-3)
     averages = []
     for field in fields:
-        values = averaged(field[window])
+        values = averaged(field[box])
         values /= divisor if values.ndim == 2 else divisor[..., None]
         values[weight <= 1e-3] = 0.0
         averages.append(values)
     return averages, np.clip(weight, 0.0, 1.0)
-
-
-def _block_means(field: NDArray[np.generic], inside: NDArray[np.uint8], factor: int) -> FloatArray:
-    """Mean of a field over blocks, zero outside the mask."""
-    rows, columns = inside.shape
-    values = np.zeros(
-        (rows + -rows % factor, columns + -columns % factor, *field.shape[2:]), dtype=np.float32
-    )
-    cv2.copyTo(field.astype(np.float32, copy=False), inside, values[:rows, :columns])
-    small = (values.shape[1] // factor, values.shape[0] // factor)
-    return np.asarray(cv2.resize(values, small, interpolation=cv2.INTER_AREA))
 
 
 def colour(values: FloatArray, low: float, high: float, *, diverging: bool = False) -> ColourArray:
@@ -143,8 +154,10 @@ def _colours(diverging: bool) -> ColourArray:
     if not diverging:
         scale = cv2.applyColorMap(index.astype(np.uint8)[None], cv2.COLORMAP_CIVIDIS)
         return np.asarray(scale[0, :, ::-1], dtype=np.uint8)
-    positions = np.linspace(0.0, 255.0, len(_DIVERGING))
-    table = np.stack([np.interp(index, positions, _DIVERGING[:, c]) for c in range(3)], axis=1)
+    # blue for low, white for zero, orange for high
+    stops = ((5, 48, 97), (67, 147, 195), (247, 247, 247), (253, 174, 97), (165, 60, 10))
+    positions = np.linspace(0.0, 255.0, len(stops))
+    table = np.stack([np.interp(index, positions, c) for c in zip(*stops, strict=True)], axis=1)
     return np.round(table).astype(np.uint8)
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,20 +18,19 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from splitknit.errors import BadInput, require
-from splitknit.files import read_bytes
+from splitknit.files import AnyPath, read_bytes
 from splitknit.findings import Finding
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json
-from splitknit.io.images import BMP, JPEG, PNG, TIFFS, decoded, encode_tiff, read_header
-from splitknit.io.parameters import COLOUR_LEVELS, COLOURED_PART, MAX_BYTES, PRINT_PIXELS
+from splitknit.io.images import BMP, JPEG, MAX_BYTES, PNG, TIFFS, encode_tiff, read_header
 from splitknit.io.photos import decode_photo
 from splitknit.io.provenance import canonical_json
 
 SIGNATURES = (PNG, JPEG, *TIFFS, BMP)
 """First bytes of the files that :func:`decode_print_image` reads."""
 KINDS = "PNG, TIFF, JPEG and BMP"
-_SMALLEST_JPEG2000 = 32
-"""Pixels of a print's shorter side at least. Source: JPEG 2000, five halvings."""
+_MAX_PIXELS = 64_000_000
+"""Maximum pixels of a print or a page of prints: nearly A4 at 1000 ppi."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +52,7 @@ class PrintFile:
 
 
 def write_print_png(
-    path: str | os.PathLike[str],
+    path: AnyPath,
     image: NDArray[np.uint8],
     ppi: float = 500.0,
     text: Mapping[str, str] | None = None,
@@ -105,45 +103,9 @@ def encode_png(image: NDArray[Any], text: Mapping[str, str], ppi: float | None =
     return stream.getvalue()
 
 
-def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
+def read_print_png(path: AnyPath) -> PrintFile:
     """Read a print of :func:`write_print_png`; BadInput as :func:`decode_print_image`."""
     return decode_print_image(read_bytes(path, MAX_BYTES), os.fspath(path))
-
-
-def encode_jpeg2000(image: NDArray[np.uint8]) -> bytes:
-    """Compress a print (H, W) uint8 as JPEG 2000 (a JP2 file) without loss; BadInput below 32
-    pixels a side."""
-    require(
-        min(image.shape) >= _SMALLEST_JPEG2000,
-        f"a print of {image.shape[0]} x {image.shape[1]} pixels is too small for JPEG 2000; choose"
-        " PNG.",
-    )
-    return cv2.imencode(".jp2", image, [cv2.IMWRITE_JPEG2000_COMPRESSION_X1000, 1000])[1].tobytes()
-
-
-def decode_jpeg2000(data: bytes, name: str, max_pixels: int) -> NDArray[np.uint8]:
-    """Decode a print (H, W) of JP2 or its code stream. BadInput if damaged, not 8-bit grey, or
-    above `max_pixels`."""
-    start = data.find(b"\xff\x4f\xff\x51")  # the code stream begins with its sizes
-    head = data[start + 8 : start + 43]
-    require(
-        start >= 0 and len(head) == 35,
-        f"{name} is not a JPEG 2000 image, or truncated; copy it again.",
-    )
-    right, down, left, up, *_, components = struct.unpack_from(">IIIIIIIIH", head)
-    rows = down - up
-    columns = right - left
-    require(
-        rows > 0 and columns > 0 and rows * columns <= max_pixels,
-        f"{name} claims {rows} x {columns} pixels.",
-    )
-    require(components == 1 and head[34] == 7, f"{name} is not 8-bit grey; convert it.")
-    image = decoded(data, name)
-    require(
-        image.shape == (rows, columns, 1) and image.dtype == np.uint8,
-        f"{name} is damaged; copy it again.",
-    )
-    return image[..., 0]
 
 
 def decode_print_image(data: bytes, name: str) -> PrintFile:
@@ -153,13 +115,15 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     kind.
     """
     require(data.startswith(SIGNATURES), f"{name} is none of {KINDS}; export the print as PNG.")
-    photo = decode_photo(data, name)
-    rows, columns = photo.pixels.shape[:2]
-    large = (
-        f"{name} has {rows} x {columns} pixels, more than the {PRINT_PIXELS} that are read of"
-        " prints; reduce it."
-    )
-    require(rows * columns <= PRINT_PIXELS, large)
+
+    def check(rows: int, columns: int) -> None:
+        require(
+            rows * columns <= _MAX_PIXELS,
+            f"{name} has {rows} x {columns} pixels, more than the {_MAX_PIXELS} that are read of"
+            " prints; reduce it.",
+        )
+
+    photo = decode_photo(data, name, check)
     header = read_header(data, name)
     stated = header.ppi
     text = _texts(header.text[""]) if "" in header.text else dict(header.text)
@@ -174,7 +138,7 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
         max(size) <= 4 * max(grey.shape),
         f"{name} states {x:g} by {y:g} ppi, which no scanner has; correct it.",
     )
-    require(size[0] * size[1] <= PRINT_PIXELS, large)
+    check(size[1], size[0])
     square = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     note = f"its pixels of {x:.0f} by {y:.0f} ppi were made square, of {ppi:.0f} ppi."
     return PrintFile(square, ppi, text, findings=(Finding("square-pixels", note),))
@@ -200,12 +164,12 @@ def is_coloured(pixels: NDArray[Any]) -> bool:
     """Whether a picture (H, W, 1 or 3) is more than grey stored in colour."""
     if pixels.shape[2] != 3 or pixels.dtype not in (np.uint8, np.uint16):
         return False
-    limit = COLOUR_LEVELS if pixels.dtype == np.uint8 else COLOUR_LEVELS * 257
+    limit = 12 if pixels.dtype == np.uint8 else 12 * 257  # JPEG rounds
     step = 1 + int((pixels[..., 0].size / 2e5) ** 0.5)  # of large pictures a part is enough
     # 15 times as quick as along the last axis
     red, green, blue = (pixels[::step, ::step, k] for k in range(3))
     spread = np.maximum(np.maximum(red, green), blue) - np.minimum(np.minimum(red, green), blue)
-    return float((spread > limit).mean()) > COLOURED_PART
+    return float((spread > limit).mean()) > 0.01
 
 
 def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 from collections.abc import Container, Mapping, Set
 from pathlib import PurePath
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import BadInput
-from splitknit.files import open_file
+from splitknit.files import AnyPath, open_file
 from splitknit.findings import Finding
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
@@ -39,7 +38,7 @@ def provenance(
     }
 
 
-def file_hash(path: str | os.PathLike[str]) -> str:
+def file_hash(path: AnyPath) -> str:
     """SHA-256 (hex) of a file, read in pieces; BadInput if it is missing, no regular file, or
     cannot be read."""
     with open_file(path, 1 << 50) as (stream, _):  # nothing is kept of it
@@ -97,7 +96,7 @@ def plain_json(value: Any, where: str = "value") -> JsonValue:
 
 
 def _builtin(value: Any) -> Any:
-    """What json knows, of a type that it does not know."""
+    """Convert a value to a type that `json` can encode."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, PurePath):

@@ -4,7 +4,6 @@ upright (``docs/explain/conventions.md``, frames of the results).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,22 +11,24 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.files import AnyPath
 from splitknit.findings import Finding
-from splitknit.imaging.band import decode_table, srgb_code
 from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.pixels import srgb_code, srgb_light
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import converted, parse_json, read_document
-from splitknit.io.images import read_image
+from splitknit.io.images import SizeCheck, read_image
 from splitknit.io.mesh import triangulate, write_ply
 from splitknit.io.npz import read_npz, write_npz
-from splitknit.io.parameters import LARGEST_MM
-from splitknit.io.pictures import normal_colours, upright_turn
+from splitknit.io.pictures import normal_colours, upright_places, upright_turn
 from splitknit.io.prints import encode_png, provenance_texts
 from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
-from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction
+from splitknit.model import BoolArray, FloatArray
+from splitknit.reconstruction import NO_SCALE, Reconstruction
 
 Origin = dict[str, JsonValue]
 _FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
@@ -47,7 +48,7 @@ class _Report(Struct):
     timings_s: dict[str, Any] = {}
 
 
-def read_result(path: str | os.PathLike[str]) -> Reconstruction:
+def read_result(path: AnyPath) -> Reconstruction:
     """Read a result folder, as :func:`splitknit.reconstruct` and ``splitknit reconstruct`` leave
     it.
 
@@ -85,6 +86,7 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
         "uncertainty_um",
         "normals_measured",
         "specular",
+        "misfit",
         "whole",
         "provenance",
     )
@@ -95,25 +97,27 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     albedo = np.full(arrays["mask"].shape, np.nan, dtype=np.float32)
     if (folder / "report.json").is_file():
         report, _ = read_document(folder / "report.json", _Report)
-    if (folder / "albedo.png").is_file():
-        grey = read_image(folder / "albedo.png")
-        require(
-            grey.shape[:2] == albedo.shape,
-            f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.",
+
+    def same_size(name: str) -> SizeCheck:
+        return lambda rows, columns: require(
+            (rows, columns) == albedo.shape,
+            f"{folder}: {name} has another size than height.npz; {_AGAIN}.",
         )
+
+    if (folder / "albedo.png").is_file():
+        grey = read_image(folder / "albedo.png", same_size("albedo.png"))
         level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / 255.0
         albedo = np.where(arrays["mask"], level, np.nan)
     colour = None
     if (folder / "colour.png").is_file():
-        colours = read_image(folder / "colour.png")
+        colours = read_image(folder / "colour.png", same_size("colour.png"))
         require(
             colours.shape == (*albedo.shape, 3) and colours.dtype == np.uint8,
             f"{folder}: colour.png is not of the size of height.npz; {_AGAIN}.",
         )
-        colour = decode_table(colours.dtype, "srgb")[colours]
-    stated_facts = {name: getattr(report, name) for name in report.__struct_fields__}
+        colour = srgb_light(colours / np.float32(255))
     return Reconstruction(
-        **arrays, albedo=albedo, colour=colour, hashes=origin.inputs, **stated_facts
+        **arrays, albedo=albedo, colour=colour, hashes=origin.inputs, **asdict(report)
     )
 
 
@@ -168,7 +172,7 @@ def read_fields(
     )
     pitch = float(arrays.pop("pitch_mm"))
     require(
-        not known or 0 < pitch * max(rows, columns) <= LARGEST_MM,
+        not known or 0 < pitch * max(rows, columns) <= 1000.0,
         f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.",
     )
     fields: dict[str, Any] = {
@@ -200,7 +204,7 @@ def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
         "input_from_upright": result.input_from_upright,
         "upright_size": np.asarray(result.upright_size, dtype=np.int64),
     }
-    others = ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "specular")
+    others = ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "specular", "misfit")
     arrays |= {name: getattr(result, name) for name in others if getattr(result, name) is not None}
     if result.whole:
         arrays["whole"] = np.True_
@@ -209,7 +213,7 @@ def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
 
 
 def axes_of(material: Any) -> str:
-    """What the axes of a mesh of such a material are."""
+    """Description of a mesh's axes, for its header."""
     return f"x right, y {'up' if material == 'opaque' else 'to the fingertip'}, z to the camera"
 
 
@@ -233,23 +237,16 @@ def mesh_of(result: Reconstruction, step: int = 1) -> Mesh:
     kept = (slice(rows.start, rows.stop, step), slice(columns.start, columns.stop, step))
     valid = result.mask[kept] & np.isfinite(result.height_mm[kept])
     faces, _ = triangulate(valid)
+    frame = result.input_from_upright
+    xy_mm = None if result.x_mm is None or result.y_mm is None else (result.x_mm, result.y_mm)
+    x, y = upright_places(result.mask.shape, result.pitch_mm, frame, kept, xy_mm)
+    fields = (x[valid], y[valid], result.height_mm[kept][valid])
+    places = np.stack(fields, axis=1, dtype=np.float32, casting="same_kind")
+    normals = result.normals[kept][valid]
+    normals[:, :2] = normals[:, :2] @ upright_turn(frame).T.astype(np.float32)
     row, column = np.nonzero(valid)
-    row, column = rows.start + step * row, columns.start + step * column
-    if result.x_mm is not None and result.y_mm is not None:
-        x = result.x_mm[row, column]
-        y = result.y_mm[row, column]
-    else:
-        height, width = result.mask.shape
-        x = (column - (width - 1) / 2) * result.pitch_mm
-        y = ((height - 1) / 2 - row) * result.pitch_mm
-    places = np.empty((len(x), 3), dtype=np.float32)
-    places[:, 2] = result.height_mm[row, column]
-    normals = result.normals[row, column]
-    nx, ny = normals[:, 0].copy(), normals[:, 1].copy()
-    for axis, (across, along) in enumerate(upright_turn(result.input_from_upright)):
-        places[:, axis] = across * x + along * y
-        normals[:, axis] = np.float32(across) * nx + np.float32(along) * ny
-    return Mesh(result.unit.heights(places), normals, faces, (row, column))
+    pixels = rows.start + step * row, columns.start + step * column
+    return Mesh(result.unit.heights(places), normals, faces, pixels)
 
 
 def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
@@ -266,21 +263,13 @@ def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
     write_ply(path, (mesh.places, mesh.normals, intensity), mesh.faces, comments, colours)
 
 
-def write_normals(
-    path: Path, result: Reconstruction, origin: Origin, normals: FloatArray | None = None
-) -> None:
-    """Write the normals (by default those of the surface) as a colour picture on the input's pixel
-    grid."""
+def normals_picture(result: Reconstruction, normals: FloatArray) -> NDArray[np.uint8]:
+    """Normals (H, W, 3) of a result as colours on the input's pixel grid, black outside the
+    mask."""
     picture = np.zeros((*result.mask.shape, 3), dtype=np.uint8)
     box = bounding_box(result.mask)
-    colours = normal_colours((result.normals if normals is None else normals)[box])
-    picture[box] = np.where(result.mask[box][..., None], colours, np.uint8(0))
-    write_picture(path, picture, origin)
-
-
-def write_albedo(path: Path, result: Reconstruction, origin: Origin) -> None:
-    """Write the albedo as a grey picture on the input's pixel grid."""
-    write_picture(path, albedo_bytes(result), origin)
+    picture[box] = normal_colours(normals[box]) * result.mask[box][..., None]
+    return picture
 
 
 def albedo_bytes(result: Reconstruction) -> NDArray[np.uint8]:
@@ -301,7 +290,7 @@ def _up_to_255(albedo: FloatArray, mask: BoolArray) -> FloatArray:
     box = bounding_box(mask)
     picture = np.zeros(albedo.shape, dtype=np.float32)
     known = mask[box].reshape(*mask[box].shape, *[1] * (albedo.ndim - 2)) & np.isfinite(albedo[box])
-    if bool(known.any()):
+    if known.any():
         values = np.where(known, albedo[box], 0.0)
         white = max(float(np.percentile(values[known][::7], 99.9)), 1e-12)
         picture[box] = np.clip(values * np.float32(255.0 / white), 0, 255)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,9 +12,10 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from splitknit.errors import naming, require
+from splitknit.files import AnyPath
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import Version1, converted, read_json
-from splitknit.io.parameters import MAX_PIXELS
+from splitknit.io.images import MAX_PIXELS
 from splitknit.io.provenance import JsonValue, plain_json
 from splitknit.model import Camera, Coordinate, Films, Led, Mirror, Point, Rig, camera_without_scale
 
@@ -23,6 +23,8 @@ RIG_FORMAT, RIG_VERSION = "splitknit-rig", 1
 _DISTORTION_COUNTS = (4, 5, 8, 12, 14)
 """Numbers of coefficients of a lens. Source: OpenCV, `calibrateCamera`."""
 
+_OF_LEDS = ("position_mm", "direction", "intensity", "band", "lobe_exponent", "aim", "colour")
+"""Optional fields of an LED in the file."""
 _Matrix = tuple[Point, Point, Point]
 _Side = Annotated[int, Meta(ge=1, le=1_000_000)]
 
@@ -48,7 +50,7 @@ class _RigFields(Struct):
     provenance: dict[str, Any] | None = None
 
 
-def read_rig(path: str | os.PathLike[str]) -> Rig:
+def read_rig(path: AnyPath) -> Rig:
     """Read a rig file.
 
     Returns
@@ -71,7 +73,7 @@ def read_rig(path: str | os.PathLike[str]) -> Rig:
     return rig_from_json(document, str(path))
 
 
-def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
+def write_rig(rig: Rig, path: AnyPath) -> None:
     """Write a rig file; equal rigs give equal bytes.
 
     Parameters
@@ -115,14 +117,7 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
             not led.also,
             f"LED {index} of the rig is a group of LEDs; write the rig from which it was selected.",
         )
-        place = (
-            {"position_mm": led.position_mm}
-            if led.position_mm is not None
-            else {"direction": led.direction}
-        )
-        rare = {"lobe_exponent": led.lobe_exponent, "aim": led.aim, "colour": led.colour}
-        stated = {key: value for key, value in rare.items() if value}
-        leds.append({**place, "intensity": led.intensity, "band": led.band, **stated})
+        leds.append({name: value for name in _OF_LEDS if (value := getattr(led, name))})
     document = {"format": RIG_FORMAT, "version": RIG_VERSION, "camera": lens, "leds": leds}
     if rig.mirrors:
         document["mirrors"] = rig.mirrors
@@ -204,7 +199,7 @@ def _camera(fields: _CameraFields) -> Camera:
 
 
 def _of_unit_direction(led: Led, name: str) -> Led:
-    """The LED; 2 % of rounding in a hand-written unit vector are forgiven and taken off."""
+    """The LED with its direction normalised; a hand-written unit vector may be 2 % off."""
     alone = not led.also and not led.reflected and led.shade is None
     require(
         alone,

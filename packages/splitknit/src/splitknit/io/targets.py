@@ -12,9 +12,6 @@ from splitknit.errors import BadInput, require
 from splitknit.files import open_file
 from splitknit.io.capture import CAPTURE_FORMAT
 from splitknit.io.fields import read_json
-from splitknit.io.images import PNG, TIFFS
-from splitknit.io.parameters import HEAD_BYTES
-from splitknit.io.rig import RIG_FORMAT
 
 
 def check_target(
@@ -85,32 +82,9 @@ def check_file(
     known = False
     with contextlib.suppress(BadInput):
         with open_file(out, 1 << 50) as (stream, _):
-            data = stream.read(HEAD_BYTES)
+            data = stream.read(16_000_000)
         known = _format_of(out) == form if is_own is None else is_own(data)
     require(known, f"'{out}' exists and is not {words}; name another file.")
-
-
-def check_rig_file(out: Path | None) -> None:
-    """Refuse to replace a file that is not a rig file; see :func:`check_file`."""
-    check_file(out, "a rig file", form=RIG_FORMAT)
-
-
-def check_picture(out: Path | None, photographs: Path | None = None) -> None:
-    """Refuse to replace a file that is not a PNG or TIFF picture, or is one of the photographs that
-    are read."""
-    require(
-        out is None or out.suffix.lower() in (".png", ".tif", ".tiff"),
-        f"'{out}' must end in .png or .tif: it is a picture.",
-    )
-    check_file(out, "a picture", lambda data: data.startswith((PNG, *TIFFS)))
-    if out is not None and photographs is not None:
-        inside = (
-            photographs.expanduser().resolve() in out.expanduser().resolve().parents
-            and out.expanduser().exists()
-        )
-        require(
-            not inside, f"'{out}' is one of the photographs in '{photographs}'; name another file."
-        )
 
 
 def _format_of(file: Path) -> object:

@@ -15,12 +15,12 @@ METHODS: dict[str, Callable[[FingerPhotographs, PipelineSettings], FingerSurface
     "opaque": opaque_surface,
     "skin": skin_surface,
 }
-"""The surface of what was photographed, by the settings. A shape from mirrors replaces that of any
-of them (:func:`splitknit.methods.photographs.on_mirror_shape`)."""
+"""The methods by name. A shape from mirrors replaces that of any of them
+(:func:`splitknit.methods.photographs.on_mirror_shape`)."""
 
 
 def method_for(photographs: FingerPhotographs, settings: PipelineSettings) -> str:
     """Name of the method that these settings choose for these photographs."""
     if settings.method == "thesis":
         return "thesis"
-    return "skin" if undoes_blur(photographs.capture.material, settings.skin) else "opaque"
+    return "skin" if undoes_blur(photographs.observation.material, settings.skin) else "opaque"

@@ -12,32 +12,12 @@ from splitknit import steps
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.imaging.geometry import gradients_from_normals
-from splitknit.imaging.view import view_of
+from splitknit.imaging.light_field import light_vectors_at
+from splitknit.imaging.view import View, view_of
 from splitknit.integration.knit import crossover
-from splitknit.methods.parameters import (
-    BOTH_DEG,
-    BOTH_FROM_DEG,
-    COLOUR_MM,
-    DOUBTFUL,
-    FAINT,
-    JPEG_COARSE,
-    JPEG_LOSS,
-    JPEG_LOSS_COARSE,
-    MAX_SLOPE,
-    RED_PART,
-    RELIEF_ROUNDS,
-    ROUNDS,
-    SHAPE_MM,
-    SIDE_ROUNDS,
-    TURNED,
-    UNKNOWN_MM,
-    WALL_OF_STEEP,
-    WALL_PART,
-    WHITE_ROUGHNESS,
-    WHITE_SCATTERED,
-)
 from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerSurface, side_unused
 from splitknit.methods.photometry import (
+    MAX_SLOPE,
     OPAQUE,
     by_rows,
     colour_albedo,
@@ -48,6 +28,7 @@ from splitknit.methods.photometry import (
     slopes_of,
 )
 from splitknit.model import BoolArray, FloatArray
+from splitknit.photometric.forward import Gloss, fitted_gloss
 from splitknit.photometric.near_light import near_light
 from splitknit.photometric.uncalibrated import bas_relief_of, bas_relief_um
 from splitknit.plausible import RELIEF
@@ -67,9 +48,8 @@ from splitknit.skin.learned import (
     with_gain_uncertainty,
 )
 from splitknit.skin.light import slant_of
-from splitknit.skin.parameters import KNIT_MM, LITTLE_GLOSS, SCATTERING_SD
 from splitknit.skin.polarised import polarised_heights, specular_images
-from splitknit.skin.relief import ReliefEstimate, detail_of, measure, relief_by_colour
+from splitknit.skin.relief import KNIT_MM, ReliefEstimate, detail_of, measure, relief_by_colour
 from splitknit.skin.shape import (
     CoarseImages,
     Shape,
@@ -105,6 +85,11 @@ ODD_RELIEF = (
     "give `material` opaque for what is not live skin (a cast, a render), else check `px_per_mm`, "
     "and take colour photographs, as grey ones leave glare in the relief"
 )
+GLOSSY = (
+    "the object shines: the photographs fit a lobe of gloss to {:.1f} % and a matt surface to"
+    " {:.1f} %; the lobe is used, one for the whole object, which bends the surface where materials"
+    " differ."
+)
 NO_WHITE = (
     "the images lit from the side are not used: the skin is too dry or too matt for its specular"
     " reflection to be separated by colour (films separate it)."
@@ -115,10 +100,11 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
     """The `metric` method for what does not scatter light inside: near lights, robust weights,
     masked integration.
 
-    A near-infrared band, where there is one, gives the shape by a crossover of frequencies.
+    A near-infrared band, where there is one, gives the shape by a crossover of frequencies. Of
+    things that shine, a lobe of gloss is fitted with the normals.
     """
-    slopes, albedo, normals = near_slopes(white, p.photometry.normals, p.height)
-    findings = doubt_of_walls(*slopes, white.inside)
+    slopes, albedo, normals, gloss = near_slopes(white, p.photometry.normals, p.height)
+    findings = (*doubt_of_walls(*slopes, white.inside), *note_of_gloss(gloss))
     height_mm = integrated(slopes, white, p.height)
     relief = ridge_relief(slopes, white, p.shapelets)
     if nir != white:
@@ -126,6 +112,20 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
         height_mm = crossover(height_mm, shape, ridge_response(white, p.shapelets), white.inside)
     shape, colour = height_mm - relief, colour_albedo(white, albedo)
     return FingerSurface(height_mm, relief, shape, albedo, normals, colour, findings=findings)
+
+
+def note_of_gloss(gloss: Gloss | None) -> tuple[Finding, ...]:
+    """That a lobe of gloss is part of the model."""
+    if gloss is None:
+        return ()
+    return (Finding("glossy", GLOSSY.format(100 * gloss.misfit, 100 * gloss.matt_misfit)),)
+
+
+WALL_PART = 0.002  # fraction of a surface whose slopes are cut from which it has walls
+WALL_OF_STEEP = 0.25
+"""Fraction of the pixels steeper than a quarter of the longest slope whose slopes are cut, from
+which a surface has walls: 0.09 on the ball, 0.6 to 0.8 on the coins. Chosen on: simulated objects
+(a ball, coins with rims of 80 to 89 deg). Range: 0.09 to 0.6."""
 
 
 def doubt_of_walls(
@@ -164,6 +164,12 @@ class SkinSurface:
     model error."""
     albedo: FloatArray  # diffuse brightness of the first channel, relative
     facts: Mapping[str, Any]
+
+
+SCATTERING_SD = 0.3
+"""Relative standard deviation of the scattering between people; it enters the relief's uncertainty.
+Chosen on: judgement. Range: 0.15 to 0.6 (validation/parameters)."""
+RELIEF_ROUNDS = 2  # estimates of the relief
 
 
 def metric_skin(
@@ -212,6 +218,17 @@ def metric_skin(
     )
 
 
+SIDE_ROUNDS = 3
+"""Estimates of the relief behind films with lights to the side: the second refinement of the shape
+adds a seventh of the first, a third hardly anything. Surfaces of nine simulated fingers differ by
+-1.8 [-3.2, -0.4] um of 51, ridges below 60 deg by +0.07 [-0.10, 0.25] um of 4.6; the surface of a
+path-traced one by -5 um of 24. With front lights alone it may lead astray (docs/explain/tried.md).
+Chosen on: simulated fingers (seeds 8101 to 8105 of validation/path_traced/polarised.py; on 7101,
+7102, 7107 and 7108 nothing was). Range: 3 to 4."""
+UNKNOWN_MM = 0.02  # standard deviation of the relief where no network gives a first one
+FAINT = 3.0  # specular reflection over noise below which heights do not follow from it
+
+
 def metric_polarised(
     images: SkinImages, skin: SkinSettings, p: MetricSettings, networks: Networks | None = None
 ) -> SkinSurface:
@@ -244,6 +261,21 @@ def metric_polarised(
         return replace(modelled, facts={**modelled.facts, "specular": fit})
     rest = height_mm - first.shape_mm
     return _with_heights(first, rest, error_mm, grid, relief_by="polarised", specular=fit)
+
+
+WHITE_ROUGHNESS = 0.45
+"""Roughness up to which white light shows ridges better than the front lights alone."""
+WHITE_SCATTERED = 10.0
+"""Scattered over specular light up to which white light shows ridges better: of eight fingers one
+is worse beyond each of both limits."""
+RED_PART = 0.5
+"""Part of the red light, in the colour of the skin, that is taken from the blue to leave white
+light. Chosen on: path-traced fingers (validation/path_traced/polarised.py). Range: 0.3 to 0.65."""
+SHAPE_MM = 2.0
+"""Standard deviation of the Gaussian mean of the heights that white light does not show: it follows
+from how much of the light is scattered, which colours show only roughly. Chosen on: simulated
+fingers (and path-traced ones, docs/explain/tried.md)."""
+COLOUR_MM = 1.0  # standard deviation of the Gaussian mean whose colour is that of the skin
 
 
 def metric_side(
@@ -313,6 +345,10 @@ def without_white(band: BandImages, part: FloatArray) -> BandImages:
     return replace(band, stack=band.stack - (band.stack[2] - part * band.stack[0]) / 2)
 
 
+_TURNED = (5, 6)
+"""Orientations (90 and 270 degrees) averaged with the upright one in the relief estimate."""
+
+
 def relief_and_shape(
     images: CoarseImages,
     shape: Shape,
@@ -324,9 +360,9 @@ def relief_and_shape(
 
     The relief network sees the images on the first shape, upright for the shape network, then in
     two more orientations for the mean that counts; on the refined shape, only what follows from its
-    output changes. A minimum-mean-square-error estimate shrinks, so its variance is restored. Where
-    the images are crossed, the last relief is estimated from the images without films instead,
-    which is another estimate than the first.
+    output changes. A minimum-mean-square-error estimate shrinks, so its variance is restored. Of a
+    crossed series, the last step re-estimates the relief from the images without films; the two
+    estimates differ.
     """
     grid, network, films = images.fine, networks.relief, images.white.unpolarised
     refinements = rounds - 1 if networks.shape is not None else 0
@@ -336,7 +372,7 @@ def relief_and_shape(
     light = features(images.white, grid, smooth, white_light_on(shape.height_mm, images))
     upright, levels = network(light.fields), light.level[:2] * grid.mask
     output = (
-        upright if films is not None else relief_network(network, TURNED, upright)(light.fields)
+        upright if films is not None else relief_network(network, _TURNED, upright)(light.fields)
     )
     slopes = light.fields[[3, 4, 7, 8]]
     del light
@@ -351,19 +387,19 @@ def relief_and_shape(
     light = features(
         films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films))
     )
-    relief = relief_by_network(light, grid, smooth, relief_network(network, TURNED))
+    relief = relief_by_network(light, grid, smooth, relief_network(network, _TURNED))
     relief = variance_restored(relief)
     of_crossed = variance_restored(first).relief_mm - relief.relief_mm
-    part = smooth_step((slant_of(smooth, grid.pitch_mm) - BOTH_FROM_DEG) / BOTH_DEG) / 2
+    # beyond 30 deg the first estimate is too low and the second too high: from 40 deg on their mean
+    part = smooth_step((slant_of(smooth, grid.pitch_mm) - 30.0) / 10.0) / 2
     return smooth, replace(relief, relief_mm=relief.relief_mm + part * of_crossed)
 
 
 def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
     """The surface of a thing that scatters no light inside."""
-    white, nir = photographs.white_and_nir(settings.metric.plane_mm)
-    surface = metric_opaque(
-        white, nir, settings.parameters(bool(white.band.colours), white.capture.material)
-    )
+    white, nir = photographs.white_and_nir(settings, settings.metric.plane_mm)
+    parameters = settings.parameters(bool(white.light.colours), white.material)
+    surface = metric_opaque(white, nir, parameters)
     shape_source = "white" if nir == white else "nir"
     facts: dict[str, Any] = {
         "shape_source": shape_source,
@@ -378,17 +414,29 @@ def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -
     return replace(surface, uncertainty_um=deviation_um, facts=facts)
 
 
+JPEG_LOSS = 0.3
+"""Fraction of the relief that JPEG may have taken, as a standard deviation: 0.06 to 0.31 was taken
+at 15 to 30 px/mm. Chosen on: simulated fingers (two, qualities of 60 to 97). Range: 0.06 to
+0.31."""
+JPEG_LOSS_COARSE = 0.9
+"""Fraction of the relief that JPEG may have taken below `JPEG_COARSE` px/mm: 0.75 and more at 11.
+Chosen on: simulated fingers (two, qualities of 60 to 97)."""
+JPEG_COARSE = 14.0
+"""Scale below which JPEG takes far more of the relief, in px/mm. Chosen on: simulated fingers (two,
+qualities of 60 to 97). Range: 11 to 15."""
+
+
 def skin_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
-    """The surface of skin; the photographs are released as soon as they lie on the working grid."""
-    require(not photographs.bands[0].colours, COLOURED)
-    images = _working_images(photographs, settings.metric)
-    side = photographs.bands[0].side
-    unused = () if side is None or images.side is not None else (side_unused(len(side.leds)),)
+    """The surface of skin."""
+    require(not photographs.observation.white.colours, COLOURED)
+    finger, bands = photographs.finger, photographs.bands(settings)
+    side = photographs.observation.side
+    images = working_images(bands, side, finger.window, finger.inside, settings.metric)
+    unused = () if side is None or images.side is not None else (side_unused(side.photographs),)
     jpeg_loss = 0.0
-    if "jpeg" in photographs.finger.facts:
-        coarse = photographs.capture.rig.camera.px_per_mm < JPEG_COARSE
+    if "jpeg" in finger.facts:
+        coarse = photographs.observation.rig.camera.px_per_mm < JPEG_COARSE
         jpeg_loss = JPEG_LOSS_COARSE if coarse else JPEG_LOSS
-    photographs.release()
     surface = _on_pixels(images, settings, jpeg_loss)
     return replace(surface, findings=(*unused, *surface.findings))
 
@@ -397,13 +445,6 @@ def undoes_blur(material: str, skin: SkinSettings) -> bool:
     """Whether subsurface scattering is undone: as the settings say, else where the capture's
     material is skin."""
     return material == "skin" if skin.invert_blur is None else skin.invert_blur
-
-
-@step("light")
-def _working_images(photographs: FingerPhotographs, p: MetricSettings) -> SkinImages:
-    """Linear images of the bands on the working grid."""
-    finger = photographs.finger
-    return working_images(photographs.capture, photographs.bands, finger.window, finger.inside, p)
 
 
 @step("surface")
@@ -448,7 +489,7 @@ def _reporting(networks: Networks | None) -> Networks | None:
     """The networks; each run of the relief network is reported as progress."""
     if networks is None:
         return None
-    relief, runs, done = networks.relief, len(TURNED) + 1, 0
+    relief, runs, done = networks.relief, len(_TURNED) + 1, 0
 
     def reported(fields: FloatArray) -> FloatArray:
         nonlocal done
@@ -457,6 +498,13 @@ def _reporting(networks: Networks | None) -> Networks | None:
         return output
 
     return replace(networks, relief=reported)
+
+
+LITTLE_GLOSS = 0.015
+"""Mean specular reflection over the diffuse light, as the network estimates it, below which there
+may be none. Chosen on: simulated fingers (boundaries of all kinds)."""
+DOUBTFUL = 0.5
+"""Expected error of the relief, over the relief's rms height, from which a warning is due."""
 
 
 def _findings_on(images: SkinImages, surface: SkinSurface) -> tuple[Finding, ...]:
@@ -489,9 +537,9 @@ def _findings_on(images: SkinImages, surface: SkinSurface) -> tuple[Finding, ...
 
 def near_slopes(
     photographs: FingerBand, p: NormalsSettings, height: HeightSettings
-) -> tuple[Slopes, FloatArray, FloatArray]:
-    """Slopes, albedo and normals of one band of an opaque thing: near lights and the surface that
-    they reach, in turns."""
+) -> tuple[Slopes, FloatArray, FloatArray, Gloss | None]:
+    """Slopes, albedo, normals and gloss of one band of an opaque thing: near lights and the surface
+    that they reach, in turns."""
     rig, inside = photographs.rig, photographs.inside
     if p.method != "near_light":
         lights = rig.light_vectors()
@@ -500,20 +548,43 @@ def near_slopes(
             lambda images, rows: distant_normals(images, lights, inside[rows], p),
             without_clipped=p.method == "robust",
         )
-        return slopes_of(normals, photographs), albedo, normals
-    view = view_of(photographs.capture.rig.camera, *photographs.finger.window, along_rays=True)
+        return slopes_of(normals, photographs), albedo, normals, None
+    view = view_of(rig.camera, *photographs.finger.window, along_rays=True)
     surface = np.full(inside.shape, photographs.plane_mm, dtype=np.float32)
 
     def lit(images: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray]:
-        return _near_normals(images, rig, surface[rows], inside[rows], view=view.of_rows(rows))
+        own = view.of_rows(rows)
+        return _near_normals(images, rig, surface[rows], inside[rows], view=own, gloss=gloss)
 
+    gloss = gloss_of(photographs, view)
     distant = all(led.position_mm is None for led in rig.leds)
-    for turn in range(rounds := 1 if distant else ROUNDS):
+    # rounds of near-light photometric stereo and integration
+    for turn in range(rounds := 1 if distant else 3):
         normals, albedo = by_rows(photographs, lit, without_clipped=True)
         slopes = gradients_from_normals(normals, inside, MAX_SLOPE)
         if turn < rounds - 1:
             surface = integrated(slopes, photographs, height) + photographs.plane_mm
-    return slopes, albedo, view.in_rig(normals)
+    return slopes, albedo, view.in_rig(normals), gloss
+
+
+GLOSS_PIXELS = 10_000  # enough for a lobe, and quick
+
+
+@step("normals")
+def gloss_of(photographs: FingerBand, view: View) -> Gloss | None:
+    """The lobe of a thing that shines, from some of its pixels under white lights; None of a matt
+    one."""
+    light, inside = photographs.light, photographs.inside
+    if light.colours or light.crossed is not None:
+        return None
+    every = max(1, round(float(np.sqrt(inside.sum() / GLOSS_PIXELS))))
+    chosen = np.zeros_like(inside)
+    chosen[::every, ::every] = inside[::every, ::every]
+    few = light.sampled(every)
+    images = np.where(few.clipped, 0.0, few.grey)[:, inside[::every, ::every]]
+    x, y, z = view.points(np.full(inside.shape, photographs.plane_mm, dtype=np.float32))
+    vectors = light_vectors_at(photographs.rig, x[chosen], y[chosen], z[chosen])
+    return fitted_gloss(images.astype(np.float32), view.turned(vectors, where=chosen))
 
 
 _near_normals = step("normals")(near_light)

@@ -1,31 +1,29 @@
-"""What a method works on, photographs of a finger that was found; and what it returns, the surface
-in its window."""
+"""Input and output of a method: photographs with the finger found in them, and the surface in the
+finger's window."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from splitknit import steps
+from splitknit.capture import Capture
 from splitknit.diagnosis.diagnose import diagnose
-from splitknit.diagnosis.jpeg import jpeg
-from splitknit.errors import require
 from splitknit.findings import Finding, Severity, worst_first
-from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
+from splitknit.finger.locate import Finger, FingerSettings
 from splitknit.finger.steady import find_steady_finger, without_moved_side
-from splitknit.imaging.light_field import flat_promised
-from splitknit.imaging.polarised import aligned, specular_of, without_films, without_side_lights
 from splitknit.integration.knit import place
-from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
+from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.observation.films import specular_of
+from splitknit.observation.jpeg import saved_as_jpeg
+from splitknit.observation.light import Light
+from splitknit.observation.observe import Observation, observe
 from splitknit.photometric.uncalibrated import bas_relief_note, bas_relief_of
 from splitknit.presets import PipelineSettings
-from splitknit.steps import shared, step
-
-if TYPE_CHECKING:
-    from splitknit.mirrors.captured import SeenInMirrors
+from splitknit.reconstruction import Reconstruction
+from splitknit.steps import step
 
 NO_NIR = (
     "there is no near-infrared band: the shape comes from the white band, in which ridges,"
@@ -39,24 +37,25 @@ _SIDE_UNUSED = (
 
 
 def side_unused(count: int) -> Finding:
-    """That images lit from the side were not used."""
+    """A note that images lit from the side were not used."""
     return Finding("side-unused", _SIDE_UNUSED.format(count))
 
 
 @dataclass(frozen=True, slots=True)
 class FingerBand:
-    """One band's photographs of the finger."""
+    """One band's light on the finger."""
 
-    capture: Capture
-    band: Band
+    light: Light
+    """On the pixels of the finger's window."""
+    material: str
     finger: Finger
     plane_mm: float = 0.0
     """Assumed mean height of the surface above the finger plane, for near lights."""
 
     @property
     def rig(self) -> Rig:
-        """`rig.leds[k]` lights photograph k."""
-        return self.capture.rig.select(self.band.lights)
+        """`rig.leds[k]` lights image k."""
+        return self.light.rig
 
     @property
     def inside(self) -> BoolArray:
@@ -66,102 +65,92 @@ class FingerBand:
     @property
     def px_per_mm(self) -> float:
         """Scale on the finger plane."""
-        return self.capture.rig.camera.px_per_mm
+        return self.light.built.camera.px_per_mm
 
     @property
     def pitch_mm(self) -> float:
         """Side of a pixel on the finger plane."""
-        return self.capture.rig.camera.pitch_mm
+        return self.light.pitch_mm
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class FingerPhotographs:
-    """All photographs of a finger, and the finger in them."""
+    """Photographs of a finger, the finger in them, and what is wrong with them: what all methods
+    begin with."""
 
-    capture: Capture
+    observation: Observation
     finger: Finger
-    # the white band, and the near-infrared one if the shape is to come from it
-    bands: tuple[Band, ...]
+    settings: FingerSettings
+    """By which the finger was found."""
     findings: tuple[Finding, ...] = ()
     specular: FloatArray | None = None
     """(H, W) picture of the specular reflection, of a polarised capture."""
 
-    def white_and_nir(self, plane_mm: float) -> tuple[FingerBand, FingerBand]:
-        """The white band, and the band of the shape: the same one where there is no other."""
-        white, nir = self.bands[0], self.bands[-1]
-        return (
-            FingerBand(self.capture, white, self.finger, plane_mm),
-            FingerBand(self.capture, nir, self.finger, plane_mm),
-        )
+    def bands(self, settings: PipelineSettings) -> tuple[Light, ...]:
+        """The white band, and the near-infrared one if the shape is to come from it."""
+        light = self.observation.bands
+        used = ("white", "nir") if _shape_from_nir(settings) else ("white",)
+        return tuple(light[name] for name in used if name in light)
 
-    def release(self) -> None:
-        """Let go of the images, so that their memory is free where nobody else holds them."""
-        self.capture, self.bands = replace(self.capture, bands={}), ()
-        steps.images_are_read()
+    def white_and_nir(
+        self, settings: PipelineSettings, plane_mm: float
+    ) -> tuple[FingerBand, FingerBand]:
+        """The white band and the band that gives the shape, which is the white one if there is no
+        other."""
+        window, material = self.finger.window, self.observation.material
+        light = [
+            FingerBand(band.at(1, window), material, self.finger, plane_mm)
+            for band in self.bands(settings)
+        ]
+        return light[0], light[-1]
 
 
-def prepared(capture: Capture, settings: PipelineSettings) -> FingerPhotographs:
-    """Photographs in which the finger was found; where it moved between the shots, that is undone,
-    so that they show it in one place. Raises BadInput if there is none.
+def _shape_from_nir(settings: PipelineSettings) -> bool:
+    return settings.shape.source == "nir" and not settings.visible_alone
+
+
+def photographs_of(capture: Capture, settings: FingerSettings) -> FingerPhotographs:
+    """Locate the finger, undo its motion between the shots, and leave out photographs that do not
+    fit the others. Raises BadInput if there is no finger.
     """
-    capture, finger = locate_finger(_with_promised_light(capture), settings.finding())
-    names = ["white"]
-    if settings.shape.source == "nir" and not settings.visible_alone and "nir" in capture.bands:
-        names.append("nir")
-    return FingerPhotographs(
-        capture, finger, tuple(capture.bands[name] for name in names), finger.findings
+    observation, finger = locate_finger(capture, settings)
+    observation, finger, findings = diagnose(
+        observation, finger, fit_places=settings.lights.places == "auto"
     )
+    specular = specular_of(observation.white, finger.mask, observation.rig.camera.px_per_mm)
+    findings = (*findings, *finger.findings)
+    return FingerPhotographs(observation, finger, settings, findings, specular)
 
 
-@shared
 @step("finger")
-def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
+def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Observation, Finger]:
     """Segmentation mask, pose, crease and quality, in aligned photographs."""
-    lit, of_colours = prepared_capture(capture, settings)
-    # before motion is measured, which would take the shift of the image for one
-    lit, films = aligned(lit)
-    steady, finger = find_steady_finger(without_side_lights(lit), settings)
+    observation = observe(capture, settings.lights, settings.camera)
+    steady, finger = find_steady_finger(observation, settings)
     steady, of_side = without_moved_side(steady, finger)
-    saved_as_jpeg, of_files = jpeg(lit, finger)
-    findings = (*of_files, *of_colours, *finger.findings, *of_side)
-    facts = {**finger.facts, **films, **saved_as_jpeg}
-    return without_films(steady), replace(finger, facts=facts, findings=findings)
+    jpeg, of_files = saved_as_jpeg(observation, finger.window)
+    findings = (*of_files, *observation.findings, *finger.findings, *of_side)
+    facts = {**finger.facts, **observation.facts, **jpeg}
+    return steady.without_films(), replace(finger, facts=facts, findings=findings)
 
 
-def diagnosed(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerPhotographs:
-    """The photographs without those that do not fit the others, and what is wrong with them, the
-    worst first."""
-    capture, finger, diagnosis = diagnose(photographs.capture, photographs.finger)
-    bands = tuple(capture.bands[band.name] for band in photographs.bands)
-    findings = [*diagnosis, *photographs.findings]
-    if len(bands) == 1:  # what is wrong with a band that is not used spoils nothing
+def findings_for(photographs: FingerPhotographs, settings: PipelineSettings) -> tuple[Finding, ...]:
+    """What is wrong with the photographs that a method uses, or was assumed of them, the worst
+    first."""
+    observation = photographs.observation
+    findings = list(photographs.findings)
+    alone = len(photographs.bands(settings)) == 1
+    if alone:  # what is wrong with a band that is not used spoils nothing
         findings = [
             each for each in findings if each.severity == Severity.NOTE or each.band == "white"
         ]
-    side = bands[0].side
-    if side is not None and settings.method == "thesis":
-        findings.append(side_unused(len(side.leds)))
-    wanted = settings.shape.source == "nir" and not settings.visible_alone
-    if wanted and len(bands) == 1 and capture.material == "skin":
+    if observation.side is not None and settings.method == "thesis":
+        findings.append(side_unused(observation.side.photographs))
+    if _shape_from_nir(settings) and alone and observation.material == "skin":
         findings.append(Finding("no-nir", NO_NIR))
-    if (unsure := bas_relief_of(capture.rig)) is not None:
+    if (unsure := bas_relief_of(observation.rig)) is not None:
         findings.insert(0, Finding("bas-relief", bas_relief_note(unsure)))
-    return FingerPhotographs(
-        capture, finger, bands, worst_first(findings), specular_of(capture, finger.mask)
-    )
-
-
-def _with_promised_light(capture: Capture) -> Capture:
-    """Where images are divided by flat ones: with the brightness that the rig's lights have on a
-    flat surface."""
-    flat = {
-        name: (band, band.flat) for name, band in capture.bands.items() if band.flat is not None
-    }
-    promised = {
-        name: replace(band, promised=flat_promised(capture.rig.select(band.lights), image.shape))
-        for name, (band, image) in flat.items()
-    }
-    return replace(capture, bands={**capture.bands, **promised}) if promised else capture
+    return worst_first(findings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,8 +181,8 @@ def placed(photographs: FingerPhotographs, surface: FingerSurface, top_mm: float
 
     `top_mm`: assumed height of the highest point above the finger plane.
     """
-    capture, finger = photographs.capture, photographs.finger
-    mask, window, camera = finger.mask, finger.window, capture.rig.camera
+    observation, finger = photographs.observation, photographs.finger
+    mask, window, camera = finger.mask, finger.window, observation.rig.camera
     inside = mask[window]
     height_mm, shape_mm, normals, x_mm, y_mm = place(
         surface.height_mm, surface.shape_mm, inside, camera, window, top_mm
@@ -230,49 +219,30 @@ def placed(photographs: FingerPhotographs, surface: FingerSurface, top_mm: float
         specular=photographs.specular,
         uncertainty_um=None if surface.uncertainty_um is None else whole(surface.uncertainty_um),
         quality=finger.quality,
-        facts={"material": capture.material, **finger.facts, **surface.facts},
-        hashes=capture.hashes,
+        facts={"material": observation.material, **finger.facts, **surface.facts},
+        hashes=observation.hashes,
     )
-
-
-NOT_SPLIT = (
-    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it:"
-    " take `preset` metric or snk."
-)
 
 
 @step("finger")
-def mirror_views(capture: Capture, settings: PipelineSettings) -> SeenInMirrors:
-    """The finger as mirrors show it. Raises BadInput if there are none, or the settings keep the
-    surface whole."""
-    # large, and needed where there are mirrors
-    from splitknit.mirrors.captured import seen_in_mirrors
-
-    require(not settings.visible_alone, NOT_SPLIT)
-    return seen_in_mirrors(capture, settings.shape.mirror)
-
-
 def on_mirror_shape(
-    photographs: FingerPhotographs,
-    surface: FingerSurface,
-    seen: SeenInMirrors,
-    settings: PipelineSettings,
-) -> FingerSurface:
-    """The surface's relief on the mirrors' shape; the finger ends where no mirror shows it.
-
-    The shape keeps the fine detail of the one before (creases), but in the thesis's cases.
+    photographs: FingerPhotographs, surface: FingerSurface, settings: PipelineSettings
+) -> tuple[FingerPhotographs, FingerSurface]:
+    """Put the surface's relief on the shape from mirrors; the finger's mask is cut to what the
+    mirrors show. Except in the thesis's cases, the new shape keeps the fine detail of the old one
+    (creases). Raises BadInput if the mirrors do not show one finger.
     """
-    from splitknit.mirrors.captured import mirror_shape_of
+    # large, and needed where there are mirrors
+    from splitknit.mirrors.captured import mirror_shape_of, seen_in_mirrors
 
+    seen = seen_in_mirrors(photographs.observation, settings.shape.mirror)
     detail_mm = None if settings.method == "thesis" else surface.shape_mm
     shape_mm, mask, facts = mirror_shape_of(photographs.finger, seen, detail_mm)
-    photographs.finger = replace(photographs.finger, mask=mask)
-    facts = {**surface.facts, **facts}
-    findings = (*surface.findings, *seen.shape.findings)
-    return replace(
+    surface = replace(
         surface,
         height_mm=shape_mm + surface.ridge_mm,
         shape_mm=shape_mm,
-        facts=facts,
-        findings=findings,
+        facts={**surface.facts, **facts},
+        findings=(*surface.findings, *seen.shape.findings),
     )
+    return replace(photographs, finger=replace(photographs.finger, mask=mask)), surface

@@ -1,4 +1,4 @@
-"""The scale of photographs for which nobody has measured it: assumed, stated later, or doubted."""
+"""The scale of photographs that came without one: assumed, set later, or checked."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from splitknit.diagnosis.parameters import USUAL_PERIOD_MM
+from splitknit.capture import Capture
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
-from splitknit.methods.photographs import diagnosed, placed, prepared
+from splitknit.methods.photographs import photographs_of, placed
 from splitknit.methods.thesis import thesis_surface
-from splitknit.model import BoolArray, Capture, FloatArray
-from splitknit.plausible import LED_DISTANCE, OBJECT_VIEW, VIEW
+from splitknit.model import BoolArray, FloatArray
+from splitknit.plausible import LED_DISTANCE, OBJECT_VIEW, USUAL_RIDGE_PERIOD_MM, VIEW
 from splitknit.presets import PRESETS
 
 
@@ -49,17 +49,15 @@ def _plain_normals(capture: Capture) -> tuple[FloatArray, BoolArray]:
     """Normals of the white band by plain photometric stereo, where nothing of a finger is looked
     for."""
     plain = PRESETS["ea"]
-    photographs = diagnosed(prepared(replace(capture, material="opaque"), plain), plain)
+    photographs = photographs_of(replace(capture, material="opaque"), plain.finding())
     result = placed(photographs, thesis_surface(photographs, plain), plain.top_mm)
     return result.normals, result.mask
 
 
 def with_working_scale(capture: Capture) -> tuple[Capture, tuple[Finding, ...]]:
-    """Skin at a plausible scale, and a note where the scale is odd, also an object's: methods for
-    skin work in mm.
-
-    Where the scale of skin is unknown, that at which the ridges lie as usual; it is still marked as
-    unknown.
+    """The capture at a scale to work with, and notes on implausible scales. Methods for skin work
+    in mm: skin of unknown scale gets the one at which its ridge period is usual, and stays marked
+    as unknown.
     """
     camera = capture.rig.camera
     view_mm = max(capture.shape) / camera.px_per_mm
@@ -80,5 +78,5 @@ def with_working_scale(capture: Capture) -> tuple[Capture, tuple[Finding, ...]]:
     if camera.scale_known:
         return capture, VIEW.notes(view_mm, check) + notes
     period_px = ridge_period(*_plain_normals(capture)).period_px
-    camera = replace(camera, px_per_mm=period_px / USUAL_PERIOD_MM)
+    camera = replace(camera, px_per_mm=period_px / USUAL_RIDGE_PERIOD_MM)
     return replace(capture, rig=replace(capture.rig, camera=camera)), notes

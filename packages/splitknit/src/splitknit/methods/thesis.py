@@ -13,8 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from splitknit.finger.contrast import clahe
-from splitknit.imaging.band import has_colour, linear_channels, linear_stack
-from splitknit.imaging.coloured import balanced
 from splitknit.imaging.geometry import smoothed
 from splitknit.integration.knit import add, crossover
 from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerSurface
@@ -22,12 +20,14 @@ from splitknit.methods.photometry import (
     by_rows,
     distant_normals,
     fast_part,
+    grey_light,
     integrated,
     ridge_relief,
     ridge_response,
     slopes_of,
 )
 from splitknit.model import Array, FloatArray
+from splitknit.observation.coloured import balanced
 from splitknit.presets import (
     DirectSettings,
     EnhanceSettings,
@@ -37,7 +37,7 @@ from splitknit.presets import (
 )
 from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.skin.grid import Slopes
-from splitknit.steps import keep, shared, step
+from splitknit.steps import keep, step
 
 
 def ea(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
@@ -87,12 +87,12 @@ CASES = {"whole": ea, "none": ea_split, "addition": snk, "crossover": snk_by_cro
 
 def thesis_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
     """The case that the settings name."""
-    white, nir = photographs.white_and_nir(plane_mm=0.0)
-    parameters = settings.parameters(bool(white.band.colours), white.capture.material)
+    white, nir = photographs.white_and_nir(settings, plane_mm=0.0)
+    parameters = settings.parameters(bool(white.light.colours), white.material)
     surface = CASES[settings.knit.method](white, nir, parameters)
     facts = {
         "shape_source": "white" if nir == white else "nir",
-        "separation": _separation_of(settings.direct, white.capture.material),
+        "separation": _separation_of(settings.direct, white.material),
         "heights": "measured",
     }
     return replace(smoothed_surface(surface, white, settings.smooth.sigma_mm), facts=facts)
@@ -111,7 +111,6 @@ def smoothed_surface(surface: FingerSurface, white: FingerBand, sigma_mm: float)
     return replace(surface, height_mm=height_mm, ridge_mm=ridge_mm, shape_mm=height_mm - ridge_mm)
 
 
-@shared
 def visible_normals(white: FingerBand, p: Photometry) -> tuple[FloatArray, FloatArray]:
     """Normals (h, w, 3) and albedo of the direct visible light (thesis, section 3.3.1)."""
     if not p.prepares:
@@ -123,9 +122,7 @@ def visible_normals(white: FingerBand, p: Photometry) -> tuple[FloatArray, Float
         return by_rows(white, solve)
     images = _grey_images(white)
     if p.balance:
-        images = balanced(
-            images, white.capture.rig, white.band, white.finger.mask[white.finger.window]
-        )
+        images = balanced(images, white.rig, white.finger.mask[white.finger.window])
     if p.enhance.clahe:
         enhanced = images = _equalised(images, white, p.enhance)
         keep("enhanced", lambda: enhanced)
@@ -144,17 +141,15 @@ def shape_slopes(nir: FingerBand, p: Photometry) -> Slopes:
 
 
 def _lights(photographs: FingerBand, enhance: EnhanceSettings) -> Array:
-    """(L, 3) distant lights; of unit length beside equalised images, which have no common scale of
-    brightness."""
+    """(L, 3) distant lights; unit vectors if the images were equalised, as these have no common
+    brightness scale."""
     lights = photographs.rig.light_vectors()
     return lights / np.linalg.norm(lights, axis=1, keepdims=True) if enhance.clahe else lights
 
 
-@step("light")
 def _grey_images(photographs: FingerBand) -> FloatArray:
-    """(L, h, w) linear grey images."""
-    encoding, window = photographs.capture.encoding, photographs.finger.window
-    return np.maximum(linear_stack(photographs.band, encoding, "grey", window), 0.0)
+    """(L, h, w) linear grey images, without the negative values of noise."""
+    return np.asarray(np.maximum(grey_light(photographs.light), 0.0))
 
 
 @step("light")
@@ -168,12 +163,9 @@ def _equalised(images: FloatArray, photographs: FingerBand, enhance: EnhanceSett
 def _direct_images(images: FloatArray, white: FingerBand, direct: DirectSettings) -> FloatArray:
     """Direct light in the grey images, zero outside the skin, by the network of the thesis."""
     inside = images * white.inside
-    if not (direct.from_colours and has_colour(white.band)):
+    if not (direct.from_colours and white.light.has_colour):
         return direct_light(inside, direct.network)
-    encoding, window = white.capture.encoding, white.finger.window
-    colours = np.moveaxis(
-        linear_channels(white.band, encoding, ("red", "green", "blue"), window), 0, 1
-    )
+    colours = np.moveaxis(white.light.stack, 0, 1)
     return direct_of_enhanced(inside, colours * (inside > 0)[:, None], direct.network)
 
 

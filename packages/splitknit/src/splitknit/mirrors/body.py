@@ -11,22 +11,15 @@ its tip any smooth body is like that. Centre lines, A and B are cubic splines.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 from scipy.interpolate import BSpline
 
+from splitknit.imaging.geometry import sampled_at
 from splitknit.imaging.view import view_of
-from splitknit.mirrors.parameters import (
-    OVAL_NODES,
-    SECTION_ANGLES,
-    SECTION_NODES,
-    STATIONS,
-    STEEPEST_DEG,
-)
 from splitknit.model import Array, BoolArray, Camera, FloatArray
 
 SeenHeights = tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]
@@ -54,14 +47,6 @@ class Body:
     """sigma in the middle of the length."""
     shear_slope: float = 0.0
     """Its growth from the tip to the base."""
-    _lines: tuple[Array, Array] = field(init=False, repr=False)
-    """The splines of the centre and of the half axes, (N, 2) each, at the nodes of the table of
-    their basis."""
-
-    def __post_init__(self) -> None:
-        table = _basis_table(self.coefficients.shape[1])
-        lines = table @ self.coefficients[:2].T, table @ self.coefficients[2:].T
-        object.__setattr__(self, "_lines", lines)
 
     @property
     def across(self) -> Array:
@@ -81,16 +66,16 @@ class Body:
         """Centre, half axes and shear at `u` (n,)."""
         w = self.fraction(u)
         s = np.sqrt(w)
-        centre = _between(self._lines[0], w)
-        half_axes = s[..., None] * _between(self._lines[1], s)
+        centre = _spline(self.coefficients[:2])(w)
+        half_axes = s[..., None] * _spline(self.coefficients[2:])(s)
         shear = self.shear + self.shear_slope * (w - 0.5)
         t, z = np.moveaxis(centre, -1, 0)
         a, b = np.moveaxis(half_axes, -1, 0)
         return _Sections(t, z, a, b, shear, self.squareness)
 
     def heights(self, camera: Camera, rows: slice, columns: slice, binning: int = 1) -> SeenHeights:
-        """Where the rays of a window's pixels or blocks meet the body; beside it its outline's z
-        goes on."""
+        """Heights where the rays of a window's pixels or blocks meet the body; beside the body, the
+        z of its outline is continued."""
         view = view_of(camera, rows, columns, binning=binning)
         plane_x, plane_y = np.broadcast_arrays(*view.on_plane())
         table = _table_of(self)
@@ -146,7 +131,7 @@ class _Sections:
 def _oval_table(squareness: float) -> tuple[Array, Array]:
     """Steepness, away from Z, of the normal of the oval X = sin w, Z = cos w (1 + k sin^2 w) at
     nodes w, and these."""
-    node = np.linspace(0.0, 0.5 * np.pi, OVAL_NODES)
+    node = np.linspace(0.0, 0.5 * np.pi, 400)  # nodes of the table
     sine = np.sin(node)
     cosine = np.cos(node)
     normal_x = sine * (1.0 + squareness * (sine * sine - 2.0 * cosine * cosine))
@@ -154,52 +139,54 @@ def _oval_table(squareness: float) -> tuple[Array, Array]:
 
 
 def basis(x: Array, count: int) -> Array:
-    """(n, count) cubic B-splines on [0, 1] with evenly spaced knots, to 1e-6."""
-    return _between(_basis_table(count), x)
+    """(n, count) cubic B-splines on [0, 1] with evenly spaced knots."""
+    return np.asarray(BSpline.design_matrix(x, _knots(count), 3).toarray())
 
 
-def _between(table: Array, x: Array) -> Array:
-    """(..., K) columns of a table (N, K) of values at evenly spaced places on [0, 1], at places `x`
-    (...)."""
-    place = np.minimum(np.maximum(x, 0.0), 1.0) * (len(table) - 1)
-    below = np.minimum(place.astype(np.intp), len(table) - 2)
-    fraction = (place - below)[..., None]
-    return np.asarray(
-        table.take(below, axis=0) * (1.0 - fraction) + table.take(below + 1, axis=0) * fraction
-    )
+def _spline(coefficients: Array) -> BSpline:
+    """Lines of these coefficients (n, K)."""
+    return BSpline(_knots(coefficients.shape[1]), coefficients.T, 3)
 
 
 @cache
-def _basis_table(count: int) -> Array:
-    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
-    return BSpline.design_matrix(np.linspace(0.0, 1.0, 4001), knots, 3).toarray()
+def _knots(count: int) -> Array:
+    return np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
 
 
 # A body as seen from above: z over every pixel, and slopes.
 
 
+_STATIONS = 120
+"""Sections along the finger in the table of heights. Chosen on: speed. Range: 60 to 240
+(validation/parameters)."""
+_SECTION_NODES = 121
+"""Places across each section in the table of heights. Chosen on: speed. Range: 60 to 242
+(validation/parameters)."""
+
+
 def _table_of(body: Body) -> tuple[FloatArray, FloatArray]:
     """The side of `body` that faces the camera, tabled evenly over s: t (2, S) of its outline on
-    the left and right, and z (S, SECTION_NODES), evenly over the arc sine of the place across,
+    the left and right, and z (S, _SECTION_NODES), evenly over the arc sine of the place across,
     -pi/2 to pi/2.
     """
-    s = np.linspace(0.0, 1.0, STATIONS)
+    s = np.linspace(0.0, 1.0, _STATIONS)
     s[0] = 1e-3
     sections = body.sections(body.tip_mm - body.length_mm * s**2)
-    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, SECTION_ANGLES)[:, None]
+    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 181)[:, None]  # more than the table's nodes
     t, z = sections.contact(np.sin(turn), np.cos(turn))  # (angles, S), t grows with them
     middle = 0.5 * (t[0] + t[-1])
     half = np.maximum(0.5 * (t[-1] - t[0]), 1e-9)
     angle = np.arcsin(np.clip((t - middle) / half, -1.0, 1.0))
-    node = np.linspace(-0.5 * np.pi, 0.5 * np.pi, SECTION_NODES)
-    tabled = np.stack([np.interp(node, angle[:, k], z[:, k]) for k in range(STATIONS)])
+    node = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _SECTION_NODES)
+    tabled = np.stack([np.interp(node, angle[:, k], z[:, k]) for k in range(_STATIONS)])
     return t[[0, -1]].astype(np.float32), tabled.astype(np.float32)
 
 
 def _looked_up(
     body: Body, table: tuple[FloatArray, FloatArray], x: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
-    """z at x and y, finite; whether the body is met; and which rows of it the outlines reach."""
+    """z at x and y, finite everywhere; whether (x, y) lies on the body; and whether its row lies
+    within the outlines."""
     ends, tabled = table
     dx = x - np.float32(body.origin_mm[0])
     dy = y - np.float32(body.origin_mm[1])
@@ -208,19 +195,13 @@ def _looked_up(
     t = across[0] * dx + across[1] * dy
     u = axis[0] * dx + axis[1] * dy
     w = (body.tip_mm - u) / body.length_mm
-    s = np.sqrt(np.clip(w, 0.0, 1.0)) * (STATIONS - 1)
-    left, right = (_remapped(end[None], s, np.zeros_like(s)) for end in ends)
+    s = np.sqrt(np.clip(w, 0.0, 1.0)) * (_STATIONS - 1)
+    left, right = (sampled_at(end[None], s, np.zeros_like(s)) for end in ends)
     half = np.maximum(0.5 * (right - left), 1e-6)
     place = (t - 0.5 * (left + right)) / half
     inside = (w > 0) & (w <= 1) & (np.abs(place) <= 1)
-    node = (np.arcsin(np.clip(place, -1, 1)) / np.pi + 0.5) * (SECTION_NODES - 1)
-    return _remapped(tabled, node, s), inside, w <= 1
-
-
-def _remapped(table: FloatArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
-    return np.asarray(
-        cv2.remap(table, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    )
+    node = (np.arcsin(np.clip(place, -1, 1)) / np.pi + 0.5) * (_SECTION_NODES - 1)
+    return sampled_at(tabled, node, s), inside, w <= 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,7 +220,7 @@ def slopes_across(body: Body, slopes: Slopes) -> Array:
     t = level @ body.across
     u = level @ body.axis
     measured = slopes.x * body.across[0] + slopes.y * body.across[1]
-    limit = np.deg2rad(STEEPEST_DEG)
+    limit = np.deg2rad(24.0)  # deg: steeper skin looks flatter than it is
     turn = np.linspace(-limit, limit, 33)
     reach, _ = body.sections(u).contact(np.sin(turn)[:, None], np.cos(turn)[:, None])  # (33, n)
     above = reach > t

@@ -1,5 +1,5 @@
-"""The shape from mirrors: views, slopes of the skin in white light, the fit, and the shape on the
-finger's window."""
+"""From a capture with mirrors to the shape on the finger's window: views, slopes of the skin in
+white light, and the fit."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.finger.locate import Finger
 from splitknit.imaging.areas import mirror_outline
-from splitknit.imaging.band import bin_mean, linear_survey
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.pixels import bin_mean
 from splitknit.imaging.view import View, pixels_of, view_of
 from splitknit.integration.knit import crossover, unevenness
 from splitknit.mirrors.body import Slopes
 from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.outline import medial_line
-from splitknit.mirrors.parameters import DETAIL_MM, RIM_MM, SLOPES_APART_MM, SLOPES_MM
 from splitknit.mirrors.reflection import (
     Glass,
     facing_fraction,
@@ -32,7 +31,8 @@ from splitknit.mirrors.reflection import (
 )
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views, view_binning, views_in
-from splitknit.model import Array, BoolArray, Capture, FloatArray, Rig
+from splitknit.model import Array, BoolArray, FloatArray, Rig
+from splitknit.observation.observe import Observation
 from splitknit.photometric.near_light import pseudo_normals
 
 
@@ -42,7 +42,14 @@ class SeenInMirrors:
 
     views: Views
     shape: MirrorShape
-    capture: Capture
+    rig: Rig
+
+
+_DETAIL_MM = 1.5
+"""Detail finer than this comes from white light (creases); light that arrives through the mirrors
+distorts wider structure. With 5 mm the surface of eight fingers is 0.189 mm off, with 1.5 mm 0.160
+mm. Chosen on: simulated fingers (eight, docs/explain/tried.md, "Mirrors"). Range: 1.05 to 1.5
+(validation/parameters)."""
 
 
 def mirror_shape_of(
@@ -51,10 +58,10 @@ def mirror_shape_of(
     """The shape (h, w) from mirrors on the finger's window, in mm; the finger's mask (H, W) as far
     as the mirrors show it; and facts for the result. Every pixel of the front view has its own z of
     the shape, so that relief and shape need no other mapping. `detail_mm`: (h, w) a shape from
-    light, of which what is finer than `DETAIL_MM` is kept: creases, and what no smooth section has;
+    light, of which what is finer than 1.5 mm is kept: creases, and what no smooth section has;
     None: nothing is.
     """
-    camera = seen.capture.rig.camera
+    camera = seen.rig.camera
     window = finger.window
     inside = finger.inside
     shape, known = seen.shape.continued(*window)
@@ -62,7 +69,7 @@ def mirror_shape_of(
         shape = view_of(camera, *window, along_rays=True).along(shape)
         shape = shape - unevenness(shape, inside, camera, window)
     if detail_mm is not None:
-        cut = 2.0 * np.pi * camera.pitch_mm / DETAIL_MM
+        cut = 2.0 * np.pi * camera.pitch_mm / _DETAIL_MM
         from_light = np.where(inside, detail_mm, 0)
         finer = crossover(from_light, shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside)
         shape = np.where(inside, finer, shape)
@@ -83,7 +90,7 @@ def mirror_shape_of(
 def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
     """Masks' outlines, medial lines and the fitted body's outlines of all views, columns and rows
     of the image."""
-    rig = seen.capture.rig
+    rig = seen.rig
     binning = seen.views.binning
     masks = {}
     for name, mask in {"front": seen.views.front, **seen.views.mirrors}.items():
@@ -110,49 +117,46 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
     }
 
 
-def require_mirrors(rig: Rig) -> None:
-    """Raise BadInput if the rig has no mirrors."""
-    fault = "the rig has no mirrors, so that the shape cannot come from them"
-    require(rig.mirrors, f"{fault}: add them to rig.json, or take `shape` nir or white.")
-
-
-def seen_in_mirrors(capture: Capture, settings: MirrorShapeSettings) -> SeenInMirrors:
-    """Views and shape of a capture; BadInput if the rig has no mirrors, or they do not show one
+def seen_in_mirrors(observation: Observation, settings: MirrorShapeSettings) -> SeenInMirrors:
+    """Views and shape of a finger; BadInput if the rig has no mirrors, or they do not show one
     finger."""
-    views, grey = found_views(capture)
-    tip = capture.tip_direction_deg or 0.0
-    slopes_on = partial(skin_slopes, capture, grey, views)
-    shape = mirror_shape(views, capture.rig, settings, tip_direction_deg=tip, slopes_on=slopes_on)
-    return SeenInMirrors(views, shape, capture)
+    views, grey = found_views(observation)
+    tip = observation.tip_direction_deg or 0.0
+    slopes_on = partial(skin_slopes, observation.white.rig, grey, views)
+    shape = mirror_shape(
+        views, observation.rig, settings, tip_direction_deg=tip, slopes_on=slopes_on
+    )
+    return SeenInMirrors(views, shape, observation.rig)
 
 
-def found_views(capture: Capture) -> tuple[Views, FloatArray]:
-    """Which part of a capture's images shows the finger and which shows it in mirrors; its white
-    images (L, h, w). Raises BadInput as :func:`splitknit.mirrors.views.views_in`.
+def found_views(observation: Observation) -> tuple[Views, FloatArray]:
+    """The views, direct and in mirrors, and the white images (L, h, w) in which they were found.
+    Raises BadInput as :func:`splitknit.mirrors.views.views_in`.
     """
-    rig = capture.rig
+    rig = observation.rig
     binning = view_binning(rig.camera.px_per_mm)
-    mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
+    mean, grey = observation.white.at(binning).survey()
     return views_in(mean, rig, binning), grey
 
 
-def skin_slopes(
-    capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape
-) -> Slopes | None:
+_RIM_MM = 1.2  # skin nearer to the outline than this is not used: light is lost there
+
+
+def skin_slopes(rig: Rig, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:
     """Slopes of the skin in the front view, by photometric stereo with the LEDs and their images in
-    the mirrors. `grey`: (L, h, w) white images on the views' grid; `shape`: a first one: it gives
-    where each light reaches the skin.
+    the mirrors. `rig`: `leds[k]` lights image k; `grey`: (L, h, w) white images on the views' grid;
+    `shape`: a first one: it gives where each light reaches the skin.
     """
-    camera = capture.rig.camera
+    camera = rig.camera
     pitch = camera.pitch_mm * views.binning
-    factor = max(1, round(SLOPES_MM / pitch))
+    factor = max(1, round(0.25 / pitch))  # pitch of the images from which slopes are measured
     inside: BoolArray = bin_mean(views.front.astype(np.float32), factor) > 0.999
     depth = (
         cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
         * pitch
         * factor
     )
-    if len(grey) < 3 or not (depth > RIM_MM).any():
+    if len(grey) < 3 or not (depth > _RIM_MM).any():
         return None
     block = factor * views.binning
     block_mm = pitch * factor
@@ -162,8 +166,8 @@ def skin_slopes(
     inside &= np.isfinite(z)
     surface = np.where(inside, z, np.nanmin(z))
     rig = _with_images(
-        capture.rig.select(capture.bands["white"].lights),
-        [glass_in(mirror, shape.plane(mirror)) for mirror in capture.rig.mirrors],
+        rig,
+        [glass_in(mirror, shape.plane(mirror)) for mirror in rig.mirrors],
         np.stack([x, y, surface], axis=-1).astype(np.float64),
         normals_from_gradients(*height_gradients(np.where(inside, z, np.nan), block_mm)).astype(
             np.float64
@@ -181,10 +185,10 @@ def skin_slopes(
         cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / fraction
         for k in range(2)
     ]
-    step = max(1, round(SLOPES_APART_MM / block_mm))
+    step = max(1, round(1.0 / block_mm))  # distance of the places whose slopes are used
     chosen = np.zeros_like(inside)
     chosen[step // 2 :: step, step // 2 :: step] = True
-    chosen &= (depth > RIM_MM) & (known > 0)
+    chosen &= (depth > _RIM_MM) & (known > 0)
     places = np.column_stack([x[chosen], y[chosen]]).astype(np.float64)
     return Slopes(
         places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64)

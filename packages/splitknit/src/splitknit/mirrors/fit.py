@@ -1,4 +1,5 @@
-"""A body and mirrors that agree with all outlines: Gauss-Newton on planes that touch the finger.
+"""Fit of body and mirror poses to all outlines, by Gauss-Newton on the planes tangent to the
+finger.
 
 Every point of every outline implies that a plane touches the body: the support of the section where
 it touches, along the plane's normal, equals the plane's offset. These equations are linear in
@@ -16,33 +17,9 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from splitknit.errors import require
+from splitknit.imaging.robust import deviation, tukey
 from splitknit.mirrors.body import Body, Slopes, basis, slopes_across
-from splitknit.mirrors.parameters import (
-    ANGLE_DEG,
-    COMMON_MM,
-    DIFFERENCES,
-    DISAGREEING_MM,
-    EDGE_SD_MM,
-    FIT_ROUNDS,
-    HELD_PRIORS,
-    HELD_ROUNDS,
-    INDEPENDENT_SLOPES,
-    MAX_MIRROR_DEG,
-    MAX_SQUARE,
-    MAX_STEPS,
-    MIN_SLOPES,
-    MISFIT_MM,
-    OFFSET_MM,
-    OUTLINE_MM,
-    ROW_MM,
-    SETTLED_MM,
-    SHEAR_SD,
-    SLOPE_ERROR,
-    SQUARENESS_SD,
-    SURE_FROM,
-    THICKNESS,
-    TIP_SD_MM,
-)
+from splitknit.mirrors.outline import ROW_MM
 from splitknit.mirrors.reflection import Plane, Pose, Touching
 from splitknit.model import Array, BoolArray
 
@@ -168,10 +145,10 @@ def _prefer_smooth(normal: Array, right: Array, body: Body) -> None:
     count = body.coefficients.shape[1]
     smooth = (0.4, 0.4, 0.6, 0.6)  # mm, standard deviation of third differences of t, z, A and B
     third = np.diff(np.eye(count), 3, axis=0)
-    for k, deviation in enumerate(smooth):
+    for k, spread in enumerate(smooth):
         of_line = slice(k * count, (k + 1) * count)
-        normal[of_line, of_line] += third.T @ third / deviation**2
-        right[of_line] -= third.T @ (third @ body.coefficients[k]) / deviation**2
+        normal[of_line, of_line] += third.T @ third / spread**2
+        right[of_line] -= third.T @ (third @ body.coefficients[k]) / spread**2
     # B over A is even along the finger: it holds where one edge of a mirror's view is missing
     ratio = float(np.sum(body.coefficients[3]) / np.sum(body.coefficients[2]))
     of_b = np.arange(3 * count, 4 * count)
@@ -179,25 +156,40 @@ def _prefer_smooth(normal: Array, right: Array, body: Body) -> None:
     right[of_b] -= body.coefficients[3] - ratio * body.coefficients[2]
 
 
+_ANGLE_DEG = 1.5
+"""Standard deviation of the mirrors' angles about their nominal ones. Range: none within 0.7 to 1.4
+(validation/parameters)."""
+_SHEAR_SD = 0.05
+"""Standard deviation of the shear: a roll by 8 deg gives about 0.045. Range: none within 0.7 to 1.4
+(validation/parameters)."""
+
+
 def _expected(
     body: Body, outlines: Outlines, *, with_shear: bool
 ) -> dict[Parameter, tuple[float, float]]:
     """Expected value and standard deviation of every shared parameter."""
     expected = {
-        ("tip_mm", ""): (body.tip_mm, TIP_SD_MM),
-        ("squareness", ""): (body.squareness, SQUARENESS_SD),
+        ("tip_mm", ""): (body.tip_mm, 0.05),  # mm
+        ("squareness", ""): (body.squareness, 0.08),  # slopes weigh more
     }
     if with_shear:
-        expected["shear", ""] = 0.0, SHEAR_SD
-        expected["shear_slope", ""] = 0.0, 0.3 * SHEAR_SD
-    angle = 0.0, float(np.deg2rad(ANGLE_DEG))
+        expected["shear", ""] = 0.0, _SHEAR_SD
+        expected["shear_slope", ""] = 0.0, 0.3 * _SHEAR_SD
+    angle = 0.0, float(np.deg2rad(_ANGLE_DEG))
     for name, outline in outlines.items():
         if outline.plane is not None:
             turn_sd = outline.turn_sd_rad
             expected["turn_rad", name] = angle if turn_sd is None else (outline.turn_rad, turn_sd)
             expected["lean_rad", name] = angle
-            expected["shift_mm", name] = 0.0, OFFSET_MM
+            expected["shift_mm", name] = 0.0, 1.5  # mm
     return expected
+
+
+_STEP = 1e-4
+"""Step of the difference quotients by shared parameters."""
+_SLOPE_ERROR = 0.1
+"""Standard deviation of a measured slope of the skin (scattering flattens measured slopes). Range:
+none within 0.7 to 1.4 (validation/parameters)."""
 
 
 def _slope_equations(estimate: Estimate, slopes: Slopes) -> tuple[Array, Array]:
@@ -205,36 +197,43 @@ def _slope_equations(estimate: Estimate, slopes: Slopes) -> tuple[Array, Array]:
     residual = slopes_across(estimate.body, slopes)
     jacobian = np.column_stack(
         [
-            (slopes_across(estimate.moved(parameter, size).body, slopes) - residual) / size
+            (slopes_across(estimate.moved(parameter, _STEP).body, slopes) - residual) / _STEP
             for parameter in _FORM
-            for size in [DIFFERENCES[parameter[0]]]
         ]
     )
     known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=1)
     count = int(known.sum())
-    if count < MIN_SLOPES:
+    if count < 20:  # fewer slopes are not used
         return np.zeros((3, 3)), np.zeros(3)
     residual = residual[known]
     jacobian = jacobian[known]
-    weight = _tukey(residual, 4.0 * SLOPE_ERROR) / SLOPE_ERROR**2
-    weight *= INDEPENDENT_SLOPES / count
+    weight = tukey(residual, 4.0 * _SLOPE_ERROR) / _SLOPE_ERROR**2
+    # as 20 independent slopes: they err together at specular reflections, and where light by way
+    # of a mirror ends
+    weight *= 20.0 / count
     return jacobian.T @ (weight[:, None] * jacobian), -(jacobian.T @ (weight * residual))
 
 
-def _robust_weight(residual: Array, *, settled: bool) -> Array:
-    """Weights (n,) of one view's points, by its own scale; milder ones before the fit is
-    settled."""
-    size = np.abs(residual)
-    scale = max(OUTLINE_MM, 1.4826 * float(np.median(size)))
-    if settled:
-        return _tukey(residual, 4.685 * scale)
-    huber = np.minimum(1.0, 1.345 * scale / np.maximum(size, 1e-9))
-    return np.where(size >= 5.0, 0.0, huber)
+_OUTLINE_MM = 0.05
+"""Standard deviation of a point of an outline. Range: none within 0.7 to 1.4
+(validation/parameters)."""
 
 
-def _tukey(residual: Array, limit: float) -> Array:
-    """Tukey's biweight: one at zero, nothing from `limit` on."""
-    return np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2
+def _robust_weight(residual: Array) -> Array:
+    """Weights (n,) of one view's points, by its own scale."""
+    return tukey(residual, 4.685 * max(_OUTLINE_MM, deviation(residual)))
+
+
+_EDGE_SD_MM = 0.1
+"""Standard deviation of the error that a whole edge of a view has in common, at its middle and from
+there to its end: shading, blur and the threshold move it as a whole, which a mirror's pose would
+otherwise explain. Range: 0.05 to 0.2 (validation/parameters)."""
+FIT_ROUNDS = 9
+"""Maximum corrections of a fit. Chosen on: speed. Range: 6 to 18 (validation/parameters)."""
+_HELD_PRIORS = {"lean_rad": (0.0, 1e-3), "shift_mm": (0.0, 0.05)}
+"""Expected value and standard deviation that hold mirrors in their nominal place in the first
+corrections, in which the body's size is estimated: under spreading rays a wrong size is otherwise
+taken for another height, and mirrors follow it."""
 
 
 def fit_body(
@@ -247,24 +246,25 @@ def fit_body(
     splines = start.body.coefficients.size
     common = _common_errors(estimate, outlines)
     expected = _expected(start.body, outlines, with_shear=slopes is not None)
-    held = {key: HELD_PRIORS.get(key[0], prior) for key, prior in expected.items()}
+    held = {key: _HELD_PRIORS.get(key[0], prior) for key, prior in expected.items()}
     free = splines + len(expected)
     for turn in range(rounds):
         views, by_splines = _linearised(estimate, outlines)
         residual = np.concatenate(views)
         by_shared = [
-            (estimate.moved(key, size).all_residuals(outlines) - residual) / size
+            (estimate.moved(key, _STEP).all_residuals(outlines) - residual) / _STEP
             for key in expected
-            for size in [DIFFERENCES[key[0]]]
         ]
-        weight = np.concatenate([_robust_weight(view, settled=turn >= SURE_FROM) for view in views])
-        weight *= 2.0 * ROW_MM / COMMON_MM / OUTLINE_MM**2
+        weight = np.concatenate([_robust_weight(view) for view in views])
+        # every second row is a point; those nearer to each other than 4 mm err together
+        weight *= 2.0 * ROW_MM / 4.0 / _OUTLINE_MM**2
         jacobian = np.column_stack([by_splines, np.column_stack(by_shared), common])
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
-        normal[free:, free:] += np.eye(common.shape[1]) / EDGE_SD_MM**2
+        normal[free:, free:] += np.eye(common.shape[1]) / _EDGE_SD_MM**2
         _prefer_smooth(normal, right, estimate.body)
-        priors = held if turn < HELD_ROUNDS else expected
+        # at first mirrors keep their nominal place
+        priors = held if turn < 3 else expected
         for k, (key, (value, spread)) in enumerate(priors.items(), splines):
             normal[k, k] += 1.0 / spread**2
             right[k] += (value - estimate.value(key)) / spread**2
@@ -277,30 +277,37 @@ def fit_body(
         estimate = _corrected(
             estimate, step[:splines], dict(zip(expected, step[splines:free], strict=True))
         )
-        if turn > SURE_FROM and float(np.abs(step[:splines]).max()) < SETTLED_MM:
+        if turn > 3 and float(np.abs(step[:splines]).max()) < 0.01:  # mm
             break
     misfit = estimate.residuals(outlines)
-    weights = {name: _robust_weight(view, settled=True) for name, view in misfit.items()}
+    weights = {name: _robust_weight(view) for name, view in misfit.items()}
     return Fit(estimate.body, estimate.poses, misfit, weights)
 
 
+MAX_SQUARE = 0.45  # largest squareness: beyond, the oval is no longer convex
+
+
 def _corrected(estimate: Estimate, splines: Array, shared: Mapping[Parameter, float]) -> Estimate:
-    """After a correction, shortened as a whole beyond a limit, with sections that are convex."""
-    shorten = max(1.0, *(abs(float(by)) / MAX_STEPS[kind] for (kind, _), by in shared.items()))
-    body = estimate.body
-    coefficients = body.coefficients + (splines / shorten).reshape(body.coefficients.shape)
-    estimate = Estimate(replace(body, coefficients=coefficients), estimate.poses)
+    """After a correction, with sections that are convex."""
+    coefficients = estimate.body.coefficients
+    coefficients = coefficients + splines.reshape(coefficients.shape)
+    estimate = Estimate(replace(estimate.body, coefficients=coefficients), estimate.poses)
     for key, by in shared.items():
-        estimate = estimate.moved(key, float(by / shorten))
+        estimate = estimate.moved(key, float(by))
     squareness = float(np.clip(estimate.body.squareness, -0.2, MAX_SQUARE))
     return Estimate(replace(estimate.body, squareness=squareness), estimate.poses)
+
+
+DISAGREEING_MM = 0.12
+"""Rms misfit of the views above which one is taken to have a wrong edge; 0.02 to 0.07 is usual.
+Chosen on: simulated fingers."""
 
 
 def fit_views(
     start: Estimate, outlines: Outlines, slopes: Slopes | None = None, rounds: int = FIT_ROUNDS
 ) -> Fit:
-    """:func:`fit_body`; where the views do not agree, without the one edge of a mirror's view that
-    explains it: a dim edge of the finger is sometimes taken to end at the holder behind it.
+    """As :func:`fit_body`; if the views disagree, the one edge of a mirror's view that causes it is
+    left out: a dim edge of the finger is sometimes confused with the holder behind it.
     """
     first = fit_body(start, outlines, slopes, rounds)
     if max(first.rms_mm.values()) < DISAGREEING_MM:
@@ -369,29 +376,33 @@ def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[list[Array], Ar
 # Whether views are of one finger.
 
 
+_THICKNESS = (0.4, 1.4)  # thickness of fingers over their breadth, from and to
+
+
 def refuse_misfit(fit: Fit) -> None:
     """Refuse views that no finger explains."""
-    fault = "the views do not fit one finger"
-    alone = "check that one finger alone is in view"
     for name, misfit in fit.misfit_mm.items():
         size = float(np.median(np.abs(misfit)))
         require(
-            size < MISFIT_MM,
-            f"{fault}: the {name} view's outline lies {size:.1f} mm beside the others'; {alone}, "
-            "and that the rig file's mirrors are the ones in the picture.",
+            size < 0.6,  # views that agree no better than this (median) are not of one finger
+            f"the views do not fit one finger: the {name} view's outline lies {size:.1f} mm beside"
+            " the others'; check that one finger alone is in view, and that the rig file's mirrors"
+            " are the ones in the picture.",
         )
     thickness = float(np.median(fit.body.coefficients[3] / fit.body.coefficients[2]))
     require(
-        THICKNESS[0] < thickness < THICKNESS[1],
-        f"{fault}: in the mirrors it would be {thickness:.2f} times as thick as it is broad in"
-        f" front; {alone}.",
+        _THICKNESS[0] < thickness < _THICKNESS[1],
+        f"the views do not fit one finger: in the mirrors it would be {thickness:.2f} times as"
+        " thick as it is broad in front; check that one finger alone is in view.",
     )
     for name, pose in fit.poses.items():
         off_deg = float(np.rad2deg(max(abs(pose.turn_rad), abs(pose.lean_rad))))
+        # a mirror that would be further off its place in the rig file than this is rejected
         require(
-            off_deg < MAX_MIRROR_DEG,
-            f"{fault}: the {name} mirror would be {off_deg:.0f} deg off its place in the rig file; "
-            f"{alone}, or correct the rig file.",
+            off_deg < 7.0,
+            f"the views do not fit one finger: the {name} mirror would be {off_deg:.0f} deg off its"
+            " place in the rig file; check that one finger alone is in view, or correct the rig"
+            " file.",
         )
 
 

@@ -18,6 +18,8 @@ from splitknit.imaging.geometry import nearest_known
 from splitknit.imaging.view import pixels_of, view_of
 from splitknit.mirrors.body import Body, SeenHeights, Slopes
 from splitknit.mirrors.fit import (
+    DISAGREEING_MM,
+    FIT_ROUNDS,
     Estimate,
     Fit,
     ViewOutline,
@@ -35,24 +37,16 @@ from splitknit.mirrors.outline import (
     rows_of,
     touching_planes,
 )
-from splitknit.mirrors.parameters import (
-    CUT_ROUNDS,
-    CUT_TURN_SD_DEG,
-    DISAGREEING_MM,
-    FIT_ROUNDS,
-    KNOTS,
-    MAX_MISSING,
-    MAX_TURN_RAD,
-    MIN_POINTS,
-    NEAR_EDGE_MM,
-    TURN_SD_DEG,
-)
 from splitknit.mirrors.reflection import Plane, Pose, Touching, reflect_points
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
 from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror, Rig
 
 # A first guess: how far mirrors are turned, by the tips of two views, and a plain body.
+
+
+_MAX_TURN_RAD = 0.12
+"""Mirrors are not turned by more. Range: 0.06 to 0.24 (validation/parameters)."""
 
 
 def turn_of_tips(
@@ -80,9 +74,9 @@ def turn_of_tips(
         far = [float(np.max((ray @ upward) / np.abs(ray @ joint))) for ray in rays]
         return (far[0] - far[1]) * float(np.hypot(*epipole))
 
-    if apart(-MAX_TURN_RAD) * apart(MAX_TURN_RAD) > 0:
+    if apart(-_MAX_TURN_RAD) * apart(_MAX_TURN_RAD) > 0:
         return None
-    return float(brentq(apart, -MAX_TURN_RAD, MAX_TURN_RAD, xtol=1e-11))
+    return float(brentq(apart, -_MAX_TURN_RAD, _MAX_TURN_RAD, xtol=1e-11))
 
 
 def first_body(
@@ -97,7 +91,7 @@ def first_body(
     )
     length = min(front.tip_mm - float(front.along_mm[known][0]), seen_mm) + 0.3
     origin = float(np.mean(0.5 * (front.left_mm + front.right_mm)[known])) * front.across
-    coefficients = np.zeros((4, KNOTS + 3))
+    coefficients = np.zeros((4, 11 + 3))  # spans of the splines along the finger
     body = Body(origin, front.axis, front.tip_mm, length, coefficients, squareness)
     point = body.to_frame(rays.point, place=True)
     direction = body.to_frame(rays.direction, place=False)
@@ -127,7 +121,7 @@ class _Ellipses:
     centre_mm: Array  # (n,) height of the lateral view's middle, beside its medial line
 
     def heights(self, camera: Camera, rows: slice, columns: slice, binning: int = 1) -> SeenHeights:
-        """As :meth:`Body.heights`; beside the ellipses the nearest z goes on."""
+        """As :meth:`Body.heights`; beside the ellipses the nearest z is continued."""
         x, y = np.broadcast_arrays(*view_of(camera, rows, columns, binning=binning).on_plane())
         p = self.axis[0] * x + self.axis[1] * y
         q = self.axis[1] * x - self.axis[0] * y
@@ -249,6 +243,9 @@ class MirrorShape:
         return lines
 
 
+_MIN_POINTS = 20  # a view with fewer points of its outline is not used
+
+
 def mirror_shape(
     views: Views,
     rig: Rig,
@@ -292,7 +289,7 @@ def mirror_shape(
     lateral = {
         name: rows[name]
         for name in sorted(outlines, key=lambda name: (name in cut, name))  # whole views first
-        if int(np.isfinite(rows[name].width_mm).sum()) >= MIN_POINTS
+        if int(np.isfinite(rows[name].width_mm).sum()) >= _MIN_POINTS
     }
     require(
         lateral,
@@ -305,7 +302,7 @@ def mirror_shape(
     start = Estimate(first_body(front, lateral, rays, settings.squareness), poses)
     whole_front = front.beyond(start.body.tip_mm - start.body.length_mm)
     outlines = {"front": ViewOutline(touching_planes(whole_front, camera)), **outlines}
-    rounds = CUT_ROUNDS if cut and cut_too else FIT_ROUNDS
+    rounds = 20 if cut and cut_too else FIT_ROUNDS  # the first guess is further off
     fit = fit_views(start, outlines, rounds=rounds)
     refuse_misfit(fit)
     if slopes_on is not None:
@@ -353,7 +350,7 @@ def _mirror_outlines(
                 continue
         all_rows[name] = rows
         touching = touching_planes(rows, camera)
-        if len(touching.point) < MIN_POINTS:
+        if len(touching.point) < _MIN_POINTS:
             continue
         turn = turn_of_tips(views, name, camera, plane, axis)
         require(
@@ -362,7 +359,8 @@ def _mirror_outlines(
             " one in front; check that the rig file's mirrors are those in the picture and that"
             " one finger alone is in view.",
         )
-        turn_sd = float(np.deg2rad(CUT_TURN_SD_DEG if name in cut else TURN_SD_DEG))
+        # the same where the view is cut
+        turn_sd = float(np.deg2rad(0.6 if name in cut else 0.2))  # deg
         outlines[name] = (
             ViewOutline(touching, plane)
             if turn is None
@@ -374,12 +372,12 @@ def _mirror_outlines(
 def _visible_part(
     rows: OutlineRows, side: str, mirror: Mirror, camera: Camera
 ) -> OutlineRows | None:
-    """Outline of a cut view without the mirror's edge, which takes the place of the pad's outline;
-    None if that is straight, but not by the mirror's edge. The picture's border leaves a part of
-    it.
+    """Outline of a view that a mirror's edge or the picture's border cuts, without the cut; None if
+    the pad's outline is straight for another reason.
     """
     edge = rows.edge(side)
-    if float(np.isfinite(edge[rows.lower_part()]).mean()) < 1.0 - MAX_MISSING:
+    # largest missing fraction of the pad's outline; the rest may be the mirror's edge
+    if float(np.isfinite(edge[rows.lower_part()]).mean()) < 1.0 - 0.4:
         return rows
     places = rows.places(side)[0]
     pixels = pixels_of(camera, places).astype(np.float32)
@@ -388,6 +386,7 @@ def _visible_part(
         cv2.pointPolygonTest(border, (float(x), float(y)), True)
         for x, y in pixels[:: max(1, len(pixels) // 20)]
     ]
-    if float(np.median(np.abs(away))) > NEAR_EDGE_MM * camera.px_per_mm:
+    # a straight outline this near to the mirror's nominal edge is that edge
+    if float(np.median(np.abs(away))) > 3.0 * camera.px_per_mm:
         return None
     return replace(rows, **{f"{side}_mm": np.full_like(edge, np.nan)})

@@ -3,7 +3,6 @@ plane, in mm."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -11,8 +10,8 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.robust import robust_line
 from splitknit.imaging.view import pixels_of, plane_points
-from splitknit.mirrors.parameters import BORDER_PX, MASK_BLUR_PX, ROW_MM, ROWS_A_POINT, STRAIGHT_MM
 from splitknit.mirrors.reflection import Touching, touching
 from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror
 
@@ -39,7 +38,7 @@ class OutlineRows:
 
     @property
     def tip_mm(self) -> float:
-        """Where the finger ends on the axis: its width's square goes to zero there."""
+        """Position of the fingertip on the axis: the square of the width, extrapolated to zero."""
         last = np.flatnonzero(np.isfinite(self.width_mm))[-6:]
         squared = self.width_mm[last] ** 2
         slope, level = np.polyfit(self.along_mm[last] - self.along_mm[last[-1]], squared, 1)
@@ -76,6 +75,11 @@ class OutlineRows:
         return places, along, outward
 
 
+ROW_MM = 0.15
+"""Distance of the rows in which the outlines are measured. Range: 0.075 to 0.3
+(validation/parameters)."""
+
+
 def rows_of(
     mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust_ends: bool = False
 ) -> OutlineRows:
@@ -98,23 +102,21 @@ def rows_of(
     along = np.arange(p.min(), p.max() + ROW_MM, ROW_MM)
     side = np.arange(q.min() - 2 * pitch, q.max() + 3 * pitch, pitch)
     part = np.pad(mask, 3)[low[1] + 3 : high[1] + 4, low[0] + 3 : high[0] + 4].astype(np.float32)
-    smooth = np.asarray(cv2.GaussianBlur(part, (0, 0), MASK_BLUR_PX), dtype=part.dtype)
-
-    def pixels(p: Array, q: Array) -> Array:
-        places = np.outer(p, axis) + np.outer(q, across)
-        full = pixels_of(camera, places)
-        return np.asarray((full - 0.5 * (binning - 1)) / binning - low)
-
-    left, right = _edges(_resampled(smooth, camera, along, side, pixels), side)
-    rows = OutlineRows(axis, along, left, right)
-    return _without_cuts(rows, mask.shape, camera, binning, trust_ends=trust_ends)
+    smooth = cv2.GaussianBlur(part, (0, 0), 1.2)
+    p, q = (places.ravel() for places in np.meshgrid(along, side, indexing="ij"))
+    full = pixels_of(camera, np.outer(p, axis) + np.outer(q, across))
+    where = ((full - 0.5 * (binning - 1)) / binning - low).astype(np.float32)
+    columns, rows = where.reshape(along.size, side.size, 2).transpose(2, 0, 1)
+    left, right = _edges(np.asarray(cv2.remap(smooth, columns, rows, cv2.INTER_LINEAR)), side)
+    outline = OutlineRows(axis, along, left, right)
+    return _without_cuts(outline, mask.shape, camera, binning, trust_ends=trust_ends)
 
 
 def touching_planes(rows: OutlineRows, camera: Camera) -> Touching:
     """Planes that touch the finger along both sides of a view's outline."""
+    # every second row gives one point of the fit
     left, right = (
-        touching(camera, *(part[::ROWS_A_POINT] for part in rows.places(side)))
-        for side in ("left", "right")
+        touching(camera, *(part[::2] for part in rows.places(side))) for side in ("left", "right")
     )
     return Touching(*map(np.concatenate, zip(left, right, strict=True)))
 
@@ -128,21 +130,12 @@ def medial_line(rows: OutlineRows) -> tuple[float, float]:
     known = np.isfinite(width)
     require(int(known.sum()) >= 8, "a view of the finger is too small to show how it lies.")
     wide = known & (width > 0.8 * np.nanquantile(width, 0.9))
-    y = rows.along_mm[wide]
     middle = 0.5 * (rows.left_mm + rows.right_mm)[wide]
-    weight = np.ones_like(y)
-    for _ in range(12):
-        root = np.sqrt(weight)
-        design = np.column_stack([y, np.ones_like(y)]) * root[:, None]
-        slope, offset = np.linalg.lstsq(design, middle * root, rcond=None)[0]
-        away = middle - slope * y - offset
-        scale = max(1.4826 * float(np.median(np.abs(away))), 1e-3)
-        weight = np.clip(1.0 - (away / (4.685 * scale)) ** 2, 0.0, None) ** 2
-    return float(slope), float(offset)
+    return robust_line(rows.along_mm[wide], middle, 1e-3)
 
 
 def pad_side(mirror: Mirror, rows: OutlineRows) -> str:
-    """On which side of the rows a mirror shows the finger's pad: the one away from the finger."""
+    """The side of the rows on which a mirror shows the pad: away from the direct view."""
     return "left" if float(mirror.normal[:2] @ rows.across) > 0 else "right"
 
 
@@ -157,7 +150,8 @@ def is_cut(rows: OutlineRows, side: str) -> bool:
     if float(known.mean()) < 0.6:
         return True
     line = np.polyfit(along[known], edge[known], 1)
-    return bool(float(np.std(edge[known] - np.polyval(line, along[known]))) < STRAIGHT_MM)
+    # rms below which an outline is a mirror's edge: pads bulge
+    return bool(float(np.std(edge[known] - np.polyval(line, along[known]))) < 0.012)
 
 
 def finger_axis(
@@ -175,26 +169,6 @@ def finger_axis(
         if abs(slope) < 2e-3:
             break
     return axis, rows
-
-
-def _resampled(
-    smooth: FloatArray,
-    camera: Camera,
-    along: Array,
-    side: Array,
-    pixels: Callable[[Array, Array], Array],
-) -> FloatArray:
-    """(rows, places) of the smoothed mask on the rows across the axis."""
-    if camera.model == "perspective" and camera.distortion and any(camera.distortion):
-        p, q = np.meshgrid(along, side, indexing="ij")
-        where = pixels(p.ravel(), q.ravel()).reshape(along.size, side.size, 2).astype(np.float32)
-        return np.asarray(cv2.remap(smooth, where[..., 0], where[..., 1], cv2.INTER_LINEAR))
-    corner, right_end, last_row = pixels(along[[0, 0, -1]], side[[0, -1, 0]])
-    right = (right_end - corner) / (side.size - 1)
-    down = (last_row - corner) / (along.size - 1)
-    affine = np.column_stack([right, down, corner])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(smooth, affine, (side.size, along.size), flags=flags))
 
 
 def _edges(field: FloatArray, side: Array) -> tuple[Array, Array]:
@@ -230,8 +204,8 @@ def _without_cuts(
         along = rows.along_mm[row]
         places = np.outer(along, rows.axis) + np.outer(edge[row], rows.across)
         pixel = pixels_of(camera, places) / binning
-        last = np.array([shape[1], shape[0]]) - 1 - BORDER_PX
-        cut = np.any((pixel < BORDER_PX) | (pixel > last), axis=1)
+        last = np.array([shape[1], shape[0]]) - 1 - 3.0  # px from the image's border
+        cut = np.any((pixel < 3.0) | (pixel > last), axis=1)
         if not trust_ends and row.size > 4:
             low = along < middle
             steep = np.flatnonzero((np.abs(np.gradient(edge[row], along)) > 1.2) & low)
@@ -245,7 +219,5 @@ def _without_cuts(
 def _smooth(values: Array) -> Array:
     """Values smoothed over a few neighbours, for their slopes."""
     kernel = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
-    padded = np.concatenate(
-        [2 * values[0] - values[2:0:-1], values, 2 * values[-1] - values[-2:-4:-1]]
-    )
+    padded = np.pad(values, 2, mode="reflect", reflect_type="odd")
     return np.convolve(padded, kernel, mode="valid")

@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splitknit.imaging.geometry import sampled_at
-from splitknit.imaging.view import View, pixels_of
-from splitknit.mirrors.parameters import GRAZING, MIRROR_EDGE_MM
+from splitknit.imaging.view import View
 from splitknit.model import Array, Camera, FloatArray, Led, Mirror, Shade
 
 
@@ -164,7 +163,8 @@ def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
     towards = _towards(points_mm, led)
     length = np.maximum(np.linalg.norm(towards, axis=-1), 1e-12)
     cosine = np.einsum("...i,...i->...", towards, normals) / length
-    return np.asarray(np.clip(cosine / GRAZING, 0.0, 1.0), dtype=np.float32)
+    # fades in up to this cosine: ridges catch light here and there
+    return np.asarray(np.clip(cosine / 0.04, 0.0, 1.0), dtype=np.float32)
 
 
 def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Array) -> FloatArray:
@@ -186,12 +186,13 @@ def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Ar
         edge = (stop - start) / max(float(np.linalg.norm(stop - start)), 1e-12)
         inner = np.array([-edge[1], edge[0]]) * np.sign(turning)
         within = np.minimum(within, (flat - start) @ inner)
-    return np.asarray(np.clip(0.5 + within / MIRROR_EDGE_MM, 0.0, 1.0) * meets, dtype=np.float32)
+    # mm over which it fades out
+    return np.asarray(np.clip(0.5 + within / 0.4, 0.0, 1.0) * meets, dtype=np.float32)
 
 
 def shade_of(fraction: FloatArray, view: View) -> Shade:
-    """What reaches the places that the pixels of a view see: `fraction` (h, w), on even steps over
-    the finger plane."""
+    """The shade map of a light at the places that the pixels of a view see: `fraction` (h, w), on
+    even steps over the finger plane."""
     x, y = view.x_mm, view.y_mm
     if x.ndim == 2:
         h, w = x.shape
@@ -209,7 +210,7 @@ def shade_of(fraction: FloatArray, view: View) -> Shade:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Glass:
-    """A mirror as it is taken to be."""
+    """A mirror as used for reflected light: its plane and outline."""
 
     name: str
     plane: Plane
@@ -219,44 +220,9 @@ class Glass:
 
 
 def glass_in(mirror: Mirror, plane: Plane) -> Glass:
-    """A mirror in the plane that was found; its outline is the drawn one, laid into that plane."""
+    """A mirror in its fitted plane, with its nominal outline projected into that plane."""
     corners = np.asarray(mirror.corners_mm, dtype=np.float64)
     corners = corners - (corners @ plane.normal - plane.offset_mm)[:, None] * plane.normal
     return Glass(
         mirror.name, Plane(corners.mean(axis=0), plane.normal), corners, mirror.reflectance
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """One view of the finger: from the front, or in a mirror."""
-
-    name: str
-    """``front``, or the mirror's name."""
-    camera: Camera
-    plane: Plane | None = None
-    """Plane of the mirror; None: the camera sees the finger itself."""
-
-    def to_view(self, points_mm: Array) -> Array:
-        """Points (..., 3) of the rig's frame where the camera seems to see them; the same function
-        takes them back."""
-        return points_mm if self.plane is None else reflect_points(points_mm, self.plane)
-
-    def turned(self, vectors: Array) -> Array:
-        """Directions (..., 3) likewise."""
-        return vectors if self.plane is None else reflect_vectors(vectors, self.plane)
-
-    def pixels(self, points_mm: Array) -> tuple[FloatArray, FloatArray]:
-        """Columns and rows (...) of points (..., 3) of the rig's frame."""
-        seen = pixels_of(self.camera, self.to_view(points_mm).reshape(-1, 3)).astype(np.float32)
-        column, row = (part.reshape(points_mm.shape[:-1]) for part in seen.T)
-        return column, row
-
-    def cosine(self, normals: Array, points_mm: Array) -> Array:
-        """Cosine (...) of the angle between normals (..., 3) at points (..., 3) of the rig's frame
-        and the line of sight."""
-        if self.camera.model == "orthographic":
-            return normals @ self.turned(np.array([0.0, 0.0, 1.0]))
-        towards = np.array([0.0, 0.0, self.camera.height_mm]) - self.to_view(points_mm)
-        towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
-        return np.asarray((normals * self.turned(towards)).sum(axis=-1))

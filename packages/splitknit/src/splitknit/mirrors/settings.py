@@ -1,4 +1,4 @@
-"""How the finger's shape is read off one image with mirrors."""
+"""Settings of the shape from mirrors."""
 
 from __future__ import annotations
 
@@ -17,4 +17,4 @@ class MirrorShapeSettings(Checked):
     """``outlines`` (the `metric` method), or ``thesis``: mirrors at exactly 45 deg, one ellipse a
     row."""
     squareness: Annotated[float, Limits(-0.2, 0.45)] = 0.16
-    """Flatness of the pad that is expected; the fit finds its own. 0 is an ellipse."""
+    """Prior mean of the pad's flatness (kappa), which the fit refines; 0 is an ellipse."""

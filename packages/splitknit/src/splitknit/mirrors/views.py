@@ -12,9 +12,8 @@ import numpy as np
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_outline, finger_region
 from splitknit.imaging.areas import blanked, enlarged_box, filled, grown, mirror_outline
-from splitknit.imaging.band import block_means
 from splitknit.imaging.geometry import bounding_box
-from splitknit.mirrors.parameters import REACH_MM, SEARCH_PX_PER_MM, VIEWS_PX_PER_MM
+from splitknit.imaging.pixels import block_means
 from splitknit.model import Array, BoolArray, FloatArray, Rig
 
 _NO_FINGER = (
@@ -38,18 +37,18 @@ class Views:
 
 def view_binning(px_per_mm: float) -> int:
     """How many pixels a side are averaged before views are looked for."""
-    return max(1, round(px_per_mm / VIEWS_PX_PER_MM))
+    return max(1, round(px_per_mm / 22.0))  # px/mm
 
 
 def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
     """Find the finger itself and its mirror images.
 
     The front view is the finger in the image without the mirrors' nominal outlines; each mirror's
-    view is the finger around that mirror's outline, without the front view. A mirror's frame,
-    second reflections and the finger's far parts are left out because one piece of skin is wanted
-    from each. It is looked for on a small copy of the image, and the outlines are found in the
-    image around what was seen there. Raises BadInput if there are no mirrors, none shows a finger,
-    a view is cut by a mirror's edge, or there are two fingers.
+    view is the finger around that mirror's outline, without the front view. Each view is one
+    connected region, so a mirror's frame, second reflections and the finger's far parts are left
+    out. It is looked for on a small copy of the image, and the outlines are found in the image
+    around what was seen there. Raises BadInput if there are no mirrors, none shows a finger, a view
+    is cut by a mirror's edge, or there are two fingers.
 
     image : (h, w, C) float32, linear, in blocks of `binning` pixels a side of the camera's image
     rig : its camera, and where its mirrors nominally are
@@ -58,7 +57,7 @@ def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
         rig.mirrors, "the rig has no mirrors: name them in rig.json, or take the shape from light."
     )
     px_per_mm = rig.camera.px_per_mm / binning
-    factor = max(1, int(px_per_mm / SEARCH_PX_PER_MM))
+    factor = max(1, int(px_per_mm / 4.0))  # px/mm
     small_size = (image.shape[0] // factor, image.shape[1] // factor)
     small = image
     if factor > 1:
@@ -109,6 +108,10 @@ def _rough_views(
     return front, views
 
 
+_REACH_MM = 3.0
+"""A mirror's picture is searched for this far beyond its nominal outline."""
+
+
 def _outlined(  # noqa: PLR0917
     image: FloatArray,
     rough: BoolArray,
@@ -117,10 +120,10 @@ def _outlined(  # noqa: PLR0917
     outlines: Mapping[str, Array],
     px_per_mm: float,
 ) -> BoolArray | None:
-    """A view whose outline is measured in `image`, around the rough one of a small copy; of the
-    front where there is no `front` yet."""
+    """A view whose outline is measured in `image` near the rough outline from a small copy; the
+    front view if `front` is not given."""
     factor = image.shape[0] // rough.shape[0]
-    cells = bounding_box(rough, ceil(REACH_MM * px_per_mm / factor))
+    cells = bounding_box(rough, ceil(_REACH_MM * px_per_mm / factor))
     box = enlarged_box(cells, factor, rough.shape, image.shape)
     part = image[box]
     corner = np.array([box[1].start, box[0].start])
@@ -145,11 +148,11 @@ def _allowed(
     shape: tuple[int, int],
     px_per_mm: float,
 ) -> BoolArray:
-    """Where a mirror's picture may be: around its nominal outline, beside the front view and the
-    other mirrors; without a `front`, where that may be: beside all mirrors."""
+    """Search region of a mirror's view: around its nominal outline, excluding the front view and
+    the other mirrors; without `front`, that of the front view: outside all mirrors."""
     allowed = np.ones(shape, dtype=np.bool_)
     if front is not None:
-        allowed = grown(filled(outlines[name], shape), REACH_MM * px_per_mm)
+        allowed = grown(filled(outlines[name], shape), _REACH_MM * px_per_mm)
         allowed &= ~grown(front, 0.4 * px_per_mm)
     for mirror, outline in outlines.items():
         if mirror != name:

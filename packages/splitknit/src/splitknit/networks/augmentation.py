@@ -1,5 +1,4 @@
-"""Test-time augmentation: a network runs on several orientations of its input, and the mean of what
-it gives counts."""
+"""Test-time augmentation: the mean of a network's outputs on several orientations of its input."""
 
 from __future__ import annotations
 
@@ -10,7 +9,6 @@ import cv2
 import numpy as np
 
 from splitknit.model import FloatArray
-from splitknit.networks.parameters import MAX_RESTORED
 
 QUARTER_TURNS = (0, 5, 3, 6)
 """Orientations turned by 0, 90, 180 and 270 degrees. Source: definition."""
@@ -109,9 +107,12 @@ def mean_over_orientations(
     return np.asarray(sum(outputs) / len(outputs))
 
 
+_MAX_RESTORED = 0.25  # largest power that is restored, over the estimate's own
+
+
 def shrinkage_gain(rms: float, error: float) -> float:
-    """Factor sqrt(1 + error^2 / rms^2), at most sqrt(1 + `MAX_RESTORED`), that restores the
-    variance lost by a minimum-mean-square-error estimate, a mean over all that is possible. `rms`:
-    of the estimate; `error`: expected.
+    """Factor sqrt(1 + error^2 / rms^2), at most sqrt(1 + `_MAX_RESTORED`), that restores the
+    variance lost by a minimum-mean-square-error estimate (a posterior mean). `rms`: of the
+    estimate; `error`: expected.
     """
-    return float(np.sqrt(1 + min((error / max(rms, 1e-6)) ** 2, MAX_RESTORED)))
+    return float(np.sqrt(1 + min((error / max(rms, 1e-6)) ** 2, _MAX_RESTORED)))

@@ -9,7 +9,7 @@ import numpy as np
 from splitknit.checks import check_lights, check_mask, check_stack
 from splitknit.imaging.chunks import gather
 from splitknit.model import FloatArray
-from splitknit.photometric.equations import linear_map, surface_by_chunks
+from splitknit.photometric.equations import surface_by_chunks
 
 
 def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, FloatArray]:
@@ -59,7 +59,9 @@ def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, F
     count, rows, columns = images.shape
     vectors = check_lights(lights, count)
     inside = check_mask(mask, (rows, columns))
-    inverse = np.linalg.pinv(vectors)  # (3, L)
+    inverse = np.linalg.pinv(vectors).astype(np.float32)  # (3, L)
     return surface_by_chunks(
-        inside, count, lambda chunk, here: linear_map(inverse, gather(images, chunk, here))
+        inside,
+        count,
+        lambda chunk, here: np.einsum("ik,kn->in", inverse, gather(images, chunk, here)),
     )

@@ -20,6 +20,7 @@ from splitknit.photometric.equations import (
     moment_vector,
     surface_by_chunks,
 )
+from splitknit.photometric.forward import Gloss, glossy_fit
 from splitknit.photometric.robust import robust_fit
 
 
@@ -52,6 +53,8 @@ def near_light(
     surface_mm: Any,
     mask: Any = None,
     view: View | None = None,
+    *,
+    gloss: Gloss | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Normals and albedo with a light vector of its own for every pixel, from LED positions and the
     current surface.
@@ -72,6 +75,9 @@ def near_light(
         Where the pixels look, for a window or binned images; the camera's own by default. If it is
         one along the rays, `surface_mm` is the height along them and the normals are those of the
         pixels' own frames (:mod:`splitknit.imaging.view`).
+    gloss : Gloss, optional
+        Lobe of a surface that shines (:func:`splitknit.photometric.forward.fitted_gloss`); without
+        it the surface is matt.
 
     Returns
     -------
@@ -96,6 +102,8 @@ def near_light(
 
     def solved(chunk: slice, _: BoolArray) -> FloatArray:
         _, lights, images = scene.cut(chunk)
+        if gloss is not None:
+            return glossy_fit(images[0], lights, gloss)
         return robust_fit(images[0], lights)
 
     return surface_by_chunks(scene.mask, scene.images.shape[1], solved)

@@ -11,8 +11,8 @@ from splitknit.errors import printable
 
 @cache
 def template(page: str | Path) -> Any:
-    """A page to be rendered, of ``templates/`` or a file; a name that it does not get is an
-    error."""
+    """The template of a page, from ``templates/`` or a file; rendering it without one of its names
+    is an error."""
     import jinja2  # pictures need none of it
 
     shared = Path(__file__).parent / "templates"

@@ -4,16 +4,21 @@ like."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from splitknit.finger.regions import erode
-from splitknit.imaging.geometry import bounding_box, height_gradients, normals_from_gradients
-from splitknit.imaging.polarised import picture_bytes
+from splitknit.imaging.geometry import (
+    bounding_box,
+    height_gradients,
+    local_mean,
+    normals_from_gradients,
+)
 from splitknit.io.pictures import (
     ColourArray,
     PictureFrame,
@@ -24,9 +29,11 @@ from splitknit.io.pictures import (
     to_frame,
     upright_turn,
 )
-from splitknit.model import BoolArray, FloatArray, Reconstruction
-from splitknit.report.parameters import BACKGROUND_GREY, CLAY_COLOUR, FILL_LIGHT, KEY_LIGHT, RIM_MM
+from splitknit.model import BoolArray, FloatArray
+from splitknit.observation.films import picture_bytes
+from splitknit.reconstruction import Reconstruction
 from splitknit.report.photos import Picture, captioned, colour_bar, is_finger
+from splitknit.units import MILLIMETRES
 
 if TYPE_CHECKING:
     from splitknit.accuracy import Comparison
@@ -98,7 +105,6 @@ def _field_picture(  # noqa: PLR0917
 
 def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the ridges and valleys in micrometres, or in pixels where the scale is unknown."""
-    unit = result.unit
     weight = small.weight
     caption = (
         "Height of the ridges above their surroundings, without the shape of the finger. Yellow is"
@@ -110,35 +116,49 @@ def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
             "Height of fine details above their surroundings, without the shape; the rim is left"
             " out. Yellow is high."
         )
-        weight = _without_rim(weight > 0, small.frame.pitch_mm) * weight
-    relief = unit.small_per_mm * small.ridge_mm, weight
-    limits = relief_limits(result)
-    return _field_picture("Relief", relief, limits, unit.small, caption, small.frame.pitch_mm)
+        weight = _without_rim(weight > 0) * weight
+    low_mm, high_mm = relief_limits(result)
+    name, per_mm = result.unit.fitting(high_mm - low_mm)
+    limits = per_mm * low_mm, per_mm * high_mm
+    relief = per_mm * small.ridge_mm, weight
+    return _field_picture("Relief", relief, limits, name, caption, small.frame.pitch_mm)
 
 
-def _without_rim(inside: BoolArray, pitch_mm: float) -> BoolArray:
-    """The mask of an opaque thing without its rim; all of it where there is nothing else."""
-    inner = erode(inside, RIM_MM / pitch_mm)
+_DETAIL = 1 / 20
+"""Standard deviation of the Gaussian that separates an object's details from its shape, over the
+square root of its area: 1 mm on a coin of 20 mm, 10 mm on a stone of 200 mm."""
+
+
+def _detail_px(mask: BoolArray) -> float:
+    return _DETAIL * float(np.sqrt(np.count_nonzero(mask)))
+
+
+def details_of_object(result: Reconstruction) -> Reconstruction:
+    """The result with the relief that an object's page shows: heights less their Gaussian mean,
+    whose width follows the object's size (`_DETAIL`)."""
+    sigma_px = _detail_px(result.mask)
+    known = result.mask & np.isfinite(result.height_mm)
+    height_mm = np.where(known, result.height_mm, 0.0).astype(np.float32)
+    mean_mm, _ = local_mean(height_mm, known, sigma_px)
+    shape_mm = np.where(known, mean_mm, np.nan).astype(np.float32)
+    return replace(result, shape_mm=shape_mm, ridge_mm=result.height_mm - shape_mm)
+
+
+def _without_rim(inside: BoolArray) -> BoolArray:
+    """An object's mask without its rim, where steep sides distort the separation of details and
+    shape; the whole mask if nothing else is left."""
+    inner = erode(inside, _detail_px(inside))
     return inner if inner.any() else inside
 
 
 def relief_limits(result: Reconstruction) -> tuple[float, float]:
-    """Limits of a colour scale for the relief in the result's small unit: what ridges span where
-    the skin faces the camera, in whole fives of um, or of a pixel's first figure that counts."""
+    """Limits of the colour scale of the relief in mm, rounded to two digits, from where the surface
+    faces the camera."""
     facing = facing_relief_mm(result)
-    relief = (
-        result.unit.small_per_mm * (facing if facing.size else result.ridge_mm[result.mask])[::3]
-    )
-    low, high = (float(v) for v in np.nanpercentile(relief, (3.0, 98.0)))
-    margin = 0.1 * (high - low)
-    step = (
-        5.0 if result.unit.known else 0.5 * 10.0 ** float(np.floor(np.log10(max(high - low, 1e-6))))
-    )
-    ends = (
-        step * float(np.floor((low - margin) / step)),
-        step * float(np.ceil((high + margin) / step + 1e-9)),
-    )
-    return float(f"{ends[0]:.6g}"), float(f"{ends[1]:.6g}")
+    relief = (facing if facing.size else result.ridge_mm[result.mask])[::3]
+    low, high = np.nanpercentile(relief, (3.0, 98.0))
+    margin = 0.1 * (high - low) + 1e-6
+    return float(f"{low - margin:.2g}"), float(f"{high + margin:.2g}")
 
 
 def facing_relief_mm(result: Reconstruction) -> FloatArray:
@@ -148,7 +168,7 @@ def facing_relief_mm(result: Reconstruction) -> FloatArray:
     relief = result.ridge_mm[box]
     inside = result.mask[box]
     if not is_finger(result):
-        inside = _without_rim(np.pad(inside, 1), result.pitch_mm)[1:-1, 1:-1]
+        inside = _without_rim(np.pad(inside, 1))[1:-1, 1:-1]
     facing = inside & (result.normals[box][..., 2] > np.cos(np.pi / 4)) & np.isfinite(relief)
     return np.asarray(relief[facing])
 
@@ -161,17 +181,11 @@ def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     top = float(np.percentile(values[weight > 0.5], 99.9))
     depth = values - top
     low = float(np.percentile(depth[weight > 0.5], 0.5))
-    step = 0.5 if low > -6 else 1.0
-    if not (is_finger(result) and unit.known):
-        tens = 10.0 ** float(np.floor(np.log10(max(-low, 1e-6))))
-        step = tens / 2 if -low > 3 * tens else tens / 5 if -low > 1.5 * tens else tens / 10
+    tens = 10.0 ** float(np.floor(np.log10(max(-low, 1e-6))))
+    step = tens / 2 if -low > 3 * tens else tens / 5 if -low > 1.5 * tens else tens / 10
     picture = colour(depth, low, 0.0)
-    level = np.floor(depth / step)
-    line = np.zeros(level.shape, dtype=bool)
-    line[:, 1:] |= level[:, 1:] != level[:, :-1]
-    line[1:] |= level[1:] != level[:-1]
-    line[:, :-1] |= line[:, 1:]
-    line[:-1] |= line[1:]
+    level = np.floor(depth / step).astype(np.float32)
+    line = cv2.morphologyEx(level, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8)) > 0
     picture[line & (weight > 0.9)] = (20, 20, 20)
     return captioned(
         "Shape",
@@ -225,7 +239,8 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
     values, weight = to_frame(result.uncertainty_um, known, small.frame)
     high = float(np.percentile(values[weight > 0.5], 98))
     picture = on_paper(colour(values, 0.0, high), weight)
-    legend = colour_bar(0.0, float(f"{high:.2g}"), "µm")
+    name, per_mm = MILLIMETRES.fitting(high / 1000)
+    legend = colour_bar(0.0, float(f"{per_mm * high / 1000:.2g}"), name)
     return captioned(title, picture, caption, small.frame.pitch_mm, legend)
 
 
@@ -246,12 +261,32 @@ def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | 
     )
 
 
+MISFIT = 0.5
+"""Highest value of the colour scale of the misfit."""
+
+
+def _misfit_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:
+    """Show where photographs contradict given normals."""
+    if result.misfit is None:
+        return None
+    field = to_frame(result.misfit, result.mask & np.isfinite(result.misfit), small.frame)
+    caption = (
+        "Part of the photographs' light that no matt surface with the given normals explains, rms"
+        " over rms. Yellow is much. Good: blue; gloss and shadows are yellow too."
+    )
+    limits = 0.0, MISFIT
+    return _field_picture(
+        "Misfit of the normal map", field, limits, "", caption, small.frame.pitch_mm
+    )
+
+
 FIELD_PICTURES = (
     _specular_picture,
     _normals_picture,
     _relief_picture,
     _shape_picture,
     _uncertainty_picture,
+    _misfit_picture,
 )
 """Each draws a picture of a result and its small fields, or None where the result has no such
 field."""
@@ -260,7 +295,7 @@ field."""
 def view_from_above(small: _SmallFields) -> ColourArray:
     """The shaded surface as the camera sees it, upright."""
     covered = small.weight[..., None]
-    picture = _shade(small) * covered + BACKGROUND_GREY * (1.0 - covered)
+    picture = _shade(small) * covered + 0.965 * (1.0 - covered)
     return np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8)
 
 
@@ -277,7 +312,7 @@ def picture_from_above(view: ColourArray, pitch_mm: float, finger: bool) -> Pict
 def print_picture(prints: NDArray[np.uint8]) -> Picture:
     """Show the print, cut to the finger."""
     dark = prints < 250
-    if bool(dark.any()):
+    if dark.any():
         prints = prints[bounding_box(dark, 8)]
     caption = (
         "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an"
@@ -318,29 +353,27 @@ def error_pictures(
     return errors
 
 
-_CLAY = np.array(CLAY_COLOUR, dtype=np.float32)
-_KEY = np.array(KEY_LIGHT, dtype=np.float32)
-_FILL = np.array(FILL_LIGHT, dtype=np.float32)
-
-
 def _shade(surface: _SmallFields) -> FloatArray:
     """Light a height field like matt clay, (H, W, 3) float32 in [0, 1], for display; valleys are
     slightly darker."""
+    clay = np.array((0.90, 0.80, 0.70), dtype=np.float32)  # red, green, blue
+    towards_key = _unit((-0.55, 0.55, 0.63))
     inside = surface.weight > 0.5
     known = np.where(inside, surface.height_mm, np.nan)
     normals = normals_from_gradients(*height_gradients(known, surface.frame.pitch_mm))
-    key = np.clip(normals @ _unit(_KEY), 0.0, 1.0)
-    fill = np.clip(normals @ _unit(_FILL), 0.0, 1.0)
-    halfway = _unit(_KEY) + np.array([0.0, 0.0, 1.0], dtype=np.float32)
-    gloss = np.clip(normals @ _unit(halfway), 0.0, 1.0) ** 24
+    key = np.clip(normals @ towards_key, 0.0, 1.0)
+    fill = np.clip(normals @ _unit((0.70, -0.15, 0.70)), 0.0, 1.0)
+    halfway = _unit(towards_key + np.array((0.0, 0.0, 1.0)))  # between the light and the view
+    gloss = np.clip(normals @ halfway, 0.0, 1.0) ** 24
     deviation = (
-        float(np.sqrt(np.mean(np.square(surface.ridge_mm[inside])))) if bool(inside.any()) else 0.0
+        float(np.sqrt(np.mean(np.square(surface.ridge_mm[inside])))) if inside.any() else 0.0
     )
     depth = np.clip(surface.ridge_mm / max(2.0 * deviation, 1e-6), -1.0, 1.0)
     light = (0.10 + 0.74 * key + 0.20 * fill) * (1.0 + 0.14 * depth)
-    shaded = light[..., None] * _CLAY + 0.10 * gloss[..., None]
+    shaded = light[..., None] * clay + 0.10 * gloss[..., None]
     return np.asarray(np.clip(shaded, 0.0, 1.0) ** 0.8, dtype=np.float32)
 
 
-def _unit(direction: FloatArray) -> FloatArray:
-    return np.asarray(direction / np.linalg.norm(direction), dtype=np.float32)
+def _unit(direction: ArrayLike) -> FloatArray:
+    vector = np.asarray(direction, dtype=np.float32)
+    return vector / np.linalg.norm(vector)

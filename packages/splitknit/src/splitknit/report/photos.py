@@ -12,10 +12,10 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from splitknit.capture import Band, Capture
 from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, colour, data_uri, upright_limits
-from splitknit.model import Band, Capture, PixelArray, Reconstruction
-from splitknit.report.parameters import LONGEST_PX
-from splitknit.steps import let_go
+from splitknit.model import PixelArray
+from splitknit.reconstruction import Reconstruction
 
 _NO_LEGEND = Markup("")
 
@@ -36,7 +36,7 @@ class Picture:
 
 
 def is_finger(result: Reconstruction) -> bool:
-    """Whether it was captured as one: of skin, not of opaque material."""
+    """Whether the result shows a finger, captured as skin, and not an opaque object."""
     return str(result.facts.get("material", "skin")) == "skin"
 
 
@@ -47,15 +47,12 @@ def captioned(
     pitch_mm: float = 0.0,
     legend: Markup = _NO_LEGEND,
 ) -> Picture:
-    """A picture as a data URI, with a bar of a round length where the size of a pixel is known.
-    What a legend explains, and prints, keep their exact values; all else is stored as a photograph.
+    """A picture as a data URI, with a scale bar where the pixel size is known. Prints and pictures
+    with a legend are stored without loss, all others as JPEG.
     """
     height, width = image.shape[:2]
-    bar_mm = (
-        next((b for b in (10.0, 5.0, 2.0, 1.0, 0.5) if b < 0.45 * width * pitch_mm), 0.0)
-        if pitch_mm
-        else 0.0
-    )
+    lengths_mm = (200.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5)
+    bar_mm = next((length for length in lengths_mm if length < 0.45 * width * pitch_mm), 0.0)
     return Picture(
         title=title,
         # HTML has to escape nothing in it
@@ -83,6 +80,9 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -
     )
 
 
+LONGEST_PX = 700  # longer side of a picture
+
+
 def _fitting(shape: tuple[int, ...]) -> tuple[tuple[int, int], float]:
     """Size (columns, rows) of a picture of an image of this shape, and the scale between them."""
     rows, columns = shape
@@ -100,7 +100,6 @@ def small_images(band: Band) -> PixelArray:
             half = image.shape[1] // 2, image.shape[0] // 2  # OpenCV is fast at whole factors
             image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
         small.append(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
-        let_go(band.pixels)
     return np.stack(small).reshape(len(small), size[1], size[0], -1)
 
 

@@ -20,29 +20,30 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.capture import Capture
+from splitknit.files import AnyPath
 from splitknit.findings import SEVERITY_WORDS
 from splitknit.finger.ridges import surface_print
-from splitknit.imaging.band import srgb_code
-from splitknit.imaging.geometry import bounding_box
-from splitknit.imaging.polarised import picture_bytes
+from splitknit.imaging.pixels import srgb_code
 from splitknit.io.atomic import atomic_folder, make_folder, write_file
 from splitknit.io.images import write_float_tiff, write_image
-from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_limits
+from splitknit.io.pictures import ColourArray, colour, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.results import (
+    albedo_bytes,
+    normals_picture,
     surface_colours,
-    write_albedo,
     write_arrays,
     write_mesh,
-    write_normals,
     write_picture,
 )
-from splitknit.model import Capture, FloatArray, Reconstruction
+from splitknit.model import FloatArray
+from splitknit.observation.films import picture_bytes
+from splitknit.reconstruction import Reconstruction
 from splitknit.report import figures, template
 from splitknit.report.figures import Truth
-from splitknit.report.parameters import LONGEST_PX
-from splitknit.report.photos import capture_pictures, is_finger
+from splitknit.report.photos import LONGEST_PX, capture_pictures, is_finger
 from splitknit.report.surface import scene_of
 
 if TYPE_CHECKING:
@@ -103,22 +104,23 @@ def make_report(
     """
     finger = is_finger(result)
     results = (result, *others)
+    shown = result if finger else figures.details_of_object(result)
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         printing = pool.submit(surface_print, result, PRINT_PPI) if is_printed(result) else None
         page = pool.submit(template, "report.html")
         frame = upright_frame(result, LONGEST_PX)
-        small = figures.small_fields(result, frame)
+        small = figures.small_fields(shown, frame)
         drawn = pool.submit(figures.view_from_above, small)
-        surfaces = pool.submit(scene_of, result, f"{result.preset}: drag to turn, wheel to zoom")
+        surfaces = pool.submit(scene_of, shown, f"{result.preset}: drag to turn, wheel to zoom")
         photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
-        fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
+        fields = [pool.submit(draw, shown, small) for draw in figures.FIELD_PICTURES]
         comparisons: list[Comparison] = []
         if truth is not None:
             from splitknit.accuracy import compare  # only what was simulated has a truth
 
             comparisons = [compare(each, truth) for each in results]
         facts = _facts(result, capture, comparisons)
-        summary = _summary(result)
+        summary = _summary(shown)
         maps = [] if photographs is None else photographs.result()
         maps += [picture for job in fields if (picture := job.result()) is not None]
         prints = None if printing is None else printing.result()
@@ -137,12 +139,23 @@ def make_report(
         above=figures.picture_from_above(above, frame.pitch_mm, finger),
         prints=None if prints is None else figures.print_picture(prints),
         maps=maps,
-        quality=_tables(facts["quality"]),
-        assumed=_tables(
-            {name: fact for name, fact in facts["facts"].items() if name not in hidden}
-        ),
-        settings=_tables(facts["settings"]),
-        capture=[(_label(key), _text(value)) for key, value in facts["capture"].items() if value],
+        details={
+            "Quality of the capture": _tables(facts["quality"]),
+            "What was found and assumed": _tables(
+                {name: fact for name, fact in facts["facts"].items() if name not in hidden}
+            ),
+            "Capture": _tables({name: fact for name, fact in facts["capture"].items() if fact}),
+            "Timings, s": _tables(
+                {
+                    "object" if stage == "finger" and not finger else stage: round(seconds, 2)
+                    for stage, seconds in result.timings_s.items()
+                }
+            ),
+            "Settings": _tables(facts["settings"]),
+            "Files that were read, with their SHA-256": [
+                {"name": "", "rows": list(facts["inputs_sha256"].items())}
+            ],
+        },
         comparisons=comparisons,
         compared=[
             row
@@ -150,7 +163,6 @@ def make_report(
             if any(each.figures.get(row[0]) is not None for each in comparisons)
         ],
         errors=figures.error_pictures(results, comparisons, frame) if comparisons else [],
-        total_s=sum(result.timings_s.values()),
     )
     return Report(html, facts, above, prints)
 
@@ -203,8 +215,8 @@ def _facts(
 
 
 def _plain(value: Any) -> Any:
-    """As :func:`splitknit.io.provenance.plain_json`; what is not finite is None, and large arrays
-    are described."""
+    """Plain JSON as by :func:`splitknit.io.provenance.plain_json`; NaN and infinity become None,
+    and large arrays a description."""
     if isinstance(value, np.ndarray):
         return _plain(value.tolist()) if value.size <= 256 else f"array {value.shape} {value.dtype}"
     if isinstance(value, float | np.floating):
@@ -222,33 +234,31 @@ def _summary(result: Reconstruction) -> list[tuple[str, str]]:
     finger = is_finger(result)
     area_px = int(np.count_nonzero(result.mask))
     width, length = unit.per_mm * np.ptp(upright_limits(result), axis=0) * result.pitch_mm
-    height = result.height_mm[bounding_box(result.mask)]
+    height = result.height_mm[result.mask]
     depth = unit.per_mm * float(np.nanmax(height) - np.nanmin(height))
     relief = figures.facing_relief_mm(result)
     low, high = np.percentile(relief, (5, 95)) if relief.size else (0.0, 0.0)
-    swing = unit.small_per_mm * float(high - low)
+    small, per_mm = unit.fitting(float(high - low))
+    swing = per_mm * float(high - low)
     over = f"(5th to 95th percentile where {'the skin' if finger else 'it'} faces the camera)"
-    if not unit.known:
-        return [
-            ("Scale", "unknown, heights in pixels"),
-            (
-                "Size seen from above",
-                f"{width:.0f} px wide, {length:.0f} px long, {depth:.1f} px deep",
-            ),
-            ("Area measured", f"{area_px} px in projection"),
-            ("Relief of fine details", f"{swing:.2f} px {over}"),
-        ]
-    per_inch = f" ({25.4 / result.pitch_mm:.0f} per inch)" if finger else ""
+    sampling = ("Scale", "unknown, heights in pixels")
+    if unit.known:
+        per_inch = f" ({25.4 / result.pitch_mm:.0f} per inch)" if finger else ""
+        sampling = ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm{per_inch}")
     return [
-        ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
+        (
+            "Size seen from above",
+            f"{width:.1f} {unit.name} wide, {length:.1f} {unit.name} long,"
+            f" {depth:.1f} {unit.name} deep",
+        ),
         (
             "Skin measured" if finger else "Area measured",
-            f"{area_px * result.pitch_mm**2:.0f} mm² in projection",
+            f"{area_px * (unit.per_mm * result.pitch_mm) ** 2:.0f} {unit.name}² in projection",
         ),
-        ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm{per_inch}"),
+        sampling,
         (
             "Relief, valley to ridge" if finger else "Relief of fine details",
-            f"{swing:.0f} µm {over}",
+            f"{swing:.3g} {small} {over}",
         ),
     ]
 
@@ -300,10 +310,10 @@ EXPLAINED = {
         "Focus: fine detail relative to brightness. Compare it between captures of one rig."
     ),
     "dark_specks": (
-        "Fraction of the finger under dark specks, as dust makes them. Good: below 0.002."
+        "Fraction of the surface under dark specks, as dust makes them. Good: below 0.002."
     ),
     "bright_specks": (
-        "Fraction of the finger under bright specks, as scales of dry skin make them. Good: below"
+        "Fraction of the surface under bright specks, as scales of dry skin make them. Good: below"
         " 0.005."
     ),
     "saturated_per_image": (
@@ -321,7 +331,7 @@ EXPLAINED = {
         "Brightness of every image relative to what its light should give. Good: all near 1."
     ),
     "light_residual": (
-        "Part of the white images that no matt surface under their lights explains. Good: below"
+        "Part of the photographs that no matt surface under their lights explains. Good: below"
         " 0.15."
     ),
     "light_brightness": (
@@ -344,9 +354,7 @@ EXPLAINED = {
         "Where the tip's direction comes from: the capture, the outline, or an assumption."
     ),
     "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",
-    "motion_mm": (
-        "How far the finger moved against the other shots, in every image. Good: below 0.05 mm."
-    ),
+    "motion_mm": ("How far it moved against the other shots, in every image. Good: below 0.05 mm."),
     "motion_reliability": "How well that is known, for every image: 1 = certain.",
     "moved_mm": (
         "How far it moved against the reference image, for every image. A note says where it was"
@@ -384,6 +392,14 @@ EXPLAINED = {
     "residual_over_noise": (
         "What the specular image leaves unexplained, over the noise. Good: below 1.5."
     ),
+    "misfit": (
+        "Part of the light that no matt surface with the given normals explains, median. Good: near"
+        " `photometric_misfit`, that of the normals that the photographs themselves give."
+    ),
+    "contradicted": (
+        "Fraction of the surface where the photographs contradict the given normals. Good: below"
+        " 0.02."
+    ),
     "separation": (
         "What was done about specular reflection and about light that spreads below the surface."
     ),
@@ -403,14 +419,14 @@ FILES = (*_FIELDS, "print.png", "preview.png", "report.html", "report.json")
 
 
 def is_printed(result: Reconstruction) -> bool:
-    """Whether there is a print of it: of a finger whose scale is known."""
+    """Whether a print is written: the result is a finger of known scale."""
     return result.unit.known and is_finger(result)
 
 
 def write_results(
     result: Reconstruction,
     capture: Capture | None,
-    folder: str | os.PathLike[str],
+    folder: AnyPath,
     truth: Truth | None = None,
 ) -> dict[str, Any]:
     """Write all files of a reconstruction into `folder`, which appears complete or not at all, in
@@ -426,7 +442,8 @@ def write_steps(
     kept: Mapping[str, FloatArray], target: Path
 ) -> tuple[dict[str, dict[str, Any]], list[str]]:
     """Write images of steps (:func:`splitknit.reconstruct`, `kept`) into ``steps/``, 16 bits in the
-    sRGB code; return of each step its files and the linear light that is white, and all files."""
+    sRGB code; return for each step its files and the linear light stored as white, and the list of
+    all files."""
     facts: dict[str, dict[str, Any]] = {}
     for name, images in kept.items():
         white = max(float(images.max()), 1e-12)
@@ -453,35 +470,31 @@ def write_files(
     heights = result.unit.heights(result.height_mm)
     unit, pitch = ("mm", result.pitch_mm) if result.unit.known else ("pixel", None)
     mesh = FILES[0] if is_finger(result) else "surface.ply"
-    files = [mesh, *(name for name in FILES[1:] if name != "print.png" or is_printed(result))]
+    names = [mesh, *(name for name in FILES[1:] if name != "print.png" or is_printed(result))]
+    origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
+    pictures = {
+        "normals.png": lambda: normals_picture(result, result.normals),
+        "albedo.png": lambda: albedo_bytes(result),
+    }
+    if (measured := result.normals_measured) is not None:
+        pictures["normals_measured.png"] = lambda: normals_picture(result, measured)
+    if result.colour is not None:
+        pictures["colour.png"] = lambda: surface_colours(result)
+    if (specular := result.specular) is not None:
+        pictures["specular.png"] = lambda: picture_bytes(specular)
+    if (misfit := result.misfit) is not None:
+        pictures["misfit.png"] = lambda: colour(np.nan_to_num(misfit), 0.0, figures.MISFIT)
+
+    def write(name: str) -> None:
+        write_picture(target / name, pictures[name](), origin)
+
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-        origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
         jobs = [
-            pool.submit(write_normals, target / "normals.png", result, origin),
             pool.submit(write_arrays, target / "height.npz", result, origin),
             pool.submit(write_mesh, target / mesh, result, origin),
-            pool.submit(write_albedo, target / "albedo.png", result, origin),
             pool.submit(write_float_tiff, target / "height.tiff", heights, unit, origin, pitch),
+            *(pool.submit(write, name) for name in pictures),
         ]
-        if (measured := result.normals_measured) is not None:
-            jobs.append(
-                pool.submit(
-                    write_normals, target / "normals_measured.png", result, origin, measured
-                )
-            )
-            files.append("normals_measured.png")
-        if result.colour is not None:
-            jobs.append(
-                pool.submit(write_picture, target / "colour.png", surface_colours(result), origin)
-            )
-            files.append("colour.png")
-        if result.specular is not None:
-            jobs.append(
-                pool.submit(
-                    write_picture, target / "specular.png", picture_bytes(result.specular), origin
-                )
-            )
-            files.append("specular.png")
         report = make_report(result, capture, truth)
         if report.prints is not None:
             write_print_png(
@@ -490,7 +503,8 @@ def write_files(
         write_picture(target / "preview.png", report.above, origin)
         for job in jobs:
             job.result()
-    return report.write(target, [*files, *step_files])
+    more = [name for name in pictures if name not in names]
+    return report.write(target, [*names, *more, *step_files])
 
 
 def preview_html(result: Reconstruction) -> str:

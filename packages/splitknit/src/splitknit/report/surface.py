@@ -24,45 +24,36 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box, sampled_at
 from splitknit.io.images import png_bytes
-from splitknit.io.pictures import upright_turn
-from splitknit.model import BoolArray, FloatArray, Reconstruction
-from splitknit.report.parameters import (
-    FARTHEST,
-    MAX_SAMPLES,
-    MOST_POINTS,
-    RIDGE_SIGMA_MM,
-    RIDGE_STEP,
-    SHAPE_STEP,
-)
+from splitknit.io.pictures import upright_places, upright_turn
+from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.reconstruction import Reconstruction
 from splitknit.units import MILLIMETRES, LengthUnit
-
-_Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResultSurface:
-    """The part of a result around its mask; fields are (h, w), NaN outside."""
+    """A result cropped to its mask; fields are (h, w), NaN outside the mask."""
 
     x_mm: FloatArray
     y_mm: FloatArray
     height_mm: FloatArray
     ridge_mm: FloatArray
     pitch_mm: float
-    turn: _Values
+    turn: Array
     """(2, 2): from (x, y) of the rig's frame to the upright one."""
-    corner_mm: _Values
+    corner_mm: Array
     """(2,) x and y of the first pixel if the camera's rays were parallel."""
     unit: LengthUnit = MILLIMETRES
     origin_px: tuple[int, int] = (0, 0)
     """Column and row of the first pixel in the input."""
 
-    def places_mm(self, input_px: _Values) -> _Values:
+    def places_mm(self, input_px: Array) -> Array:
         """(2, N) x and y of places (N, 2), columns and rows of the input; NaN beside the
         surface."""
         place = np.asarray(input_px, dtype=np.float64).T - np.array(self.origin_px)[:, None]
         return np.stack([sample(self.x_mm, place), sample(self.y_mm, place)])
 
-    def locate(self, x_mm: _Values, y_mm: _Values) -> _Values:
+    def locate(self, x_mm: Array, y_mm: Array) -> Array:
         """Column and row (2, ...) where the surface has these x and y; iterated where the rays
         spread."""
         wanted = np.stack([x_mm, y_mm])
@@ -73,7 +64,7 @@ class ResultSurface:
             place = place + self._steps(np.nan_to_num(wanted - reached))
         return place
 
-    def _steps(self, vectors_mm: _Values) -> _Values:
+    def _steps(self, vectors_mm: Array) -> Array:
         """Columns and rows (2, ...) of x and y (2, ...)."""
         right, up = np.tensordot(self.turn.T, vectors_mm, axes=1) / self.pitch_mm
         return np.stack([right, -up])
@@ -83,17 +74,17 @@ class ResultSurface:
 class Section:
     """A cut through the surface between two points, and its figures."""
 
-    along_mm: _Values  # (N,) distance in the finger plane from the first point
-    x_mm: _Values
-    y_mm: _Values
-    height_mm: _Values  # (N,), NaN where there is no surface
+    along_mm: Array  # (N,) distance in the finger plane from the first point
+    x_mm: Array
+    y_mm: Array
+    height_mm: Array  # (N,), NaN where there is no surface
     figures: dict[str, float | None]
 
 
 def surface_in(result: Reconstruction) -> ResultSurface:
     """The surface of a result; BadInput if it holds no height."""
     known = result.mask & np.isfinite(result.height_mm)
-    require(bool(known.any()), "the result holds no heights; reconstruct the capture again.")
+    require(known.any(), "the result holds no heights; reconstruct the capture again.")
     return upright_surface(
         (result.height_mm, result.ridge_mm),
         known,
@@ -108,7 +99,7 @@ def upright_surface(
     heights_mm: tuple[FloatArray, FloatArray],
     known: BoolArray,
     pitch_mm: float,
-    input_from_upright: _Values,
+    input_from_upright: Array,
     *,
     xy_mm: tuple[FloatArray, FloatArray] | None,
     unit: LengthUnit = MILLIMETRES,
@@ -116,25 +107,21 @@ def upright_surface(
     """The surface of fields (H, W) on a camera's pixel grid: heights and relief; x and y of a
     perspective camera."""
     box = bounding_box(known)
-    height, width = known.shape
-    turn = upright_turn(input_from_upright)
-    right: NDArray[Any] = (np.arange(width)[None, box[1]] - (width - 1) / 2) * pitch_mm
-    up: NDArray[Any] = ((height - 1) / 2 - np.arange(height)[box[0], None]) * pitch_mm
-    corner = turn @ np.array([right[0, 0], up[0, 0]])
-    if xy_mm is not None:
-        right, up = (field[box] for field in xy_mm)
+    grid = known.shape, pitch_mm, input_from_upright
+    x, y = upright_places(*grid, box, xy_mm)
+    first = (slice(box[0].start, box[0].start + 1), slice(box[1].start, box[1].start + 1))
 
     def masked(field: NDArray[Any]) -> FloatArray:
         return np.where(known[box], field, np.nan).astype(np.float32)
 
     return ResultSurface(
-        masked(turn[0, 0] * right + turn[0, 1] * up),
-        masked(turn[1, 0] * right + turn[1, 1] * up),
+        masked(x),
+        masked(y),
         masked(heights_mm[0][box]),
         masked(np.nan_to_num(heights_mm[1][box])),
         pitch_mm,
-        turn,
-        corner,
+        upright_turn(input_from_upright),
+        np.ravel(upright_places(*grid, first, None)),
         unit,
         (box[1].start, box[0].start),
     )
@@ -148,63 +135,26 @@ def section(
     """
     ends = np.array([start_mm, end_mm], dtype=np.float64)
     require(
-        bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= FARTHEST,
+        np.isfinite(ends).all() and float(np.abs(ends).max()) <= 40_000,
         "the two points must be finite and on the surface.",
     )
     flat_mm = float(np.hypot(*(ends[1] - ends[0])))
     require(flat_mm >= surface.pitch_mm, "the two points are the same; choose two that are apart.")
-    count = int(min(MAX_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
+    count = int(min(20_000, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
     fraction = np.linspace(0.0, 1.0, count)
     x, y = ends[0][:, None] + fraction * (ends[1] - ends[0])[:, None]
     place = surface.locate(x, y)
     height = sample(surface.height_mm, place)
     require(
-        bool(np.isfinite(height).any()),
+        np.isfinite(height).any(),
         "no surface lies between the two points; choose points on the surface.",
     )
-    along = fraction * flat_mm
-    steps = np.hypot(np.diff(along), np.diff(height))  # NaN beside a gap
     rise = float(height[-1] - height[0])
-    figures = {
-        "flat_mm": flat_mm,
-        "straight_mm": float(np.hypot(flat_mm, rise)),
-        "along_surface_mm": float(steps.sum()),
-        "height_difference_mm": rise,
-        "ridge_period_mm": _ridge_period_mm(along, sample(surface.ridge_mm, place))
-        if surface.unit.known
-        else np.nan,
-    }
-    return Section(
-        along,
-        x,
-        y,
-        height,
-        {key: value if np.isfinite(value) else None for key, value in figures.items()},
-    )
+    figures = {"flat_mm": flat_mm, "height_difference_mm": None if np.isnan(rise) else rise}
+    return Section(fraction * flat_mm, x, y, height, figures)
 
 
-def _ridge_period_mm(along: _Values, relief: _Values) -> float:
-    """Mean distance of ridges, counted where they cross the mean of their surroundings; NaN of
-    fewer than two."""
-    known = np.isfinite(relief)
-    sigma = RIDGE_SIGMA_MM / (along[1] - along[0])
-    weight = np.maximum(_blur(known.astype(np.float64), sigma), 1e-3)
-    band = np.where(known, relief, 0.0)
-    band = np.where(known, band - _blur(band, sigma) / weight, 0.0)
-    level = 0.35 * float(band[known].std())
-    clear = np.flatnonzero(np.abs(band) > level)
-    rising = along[clear[1:][(band[clear[1:]] > 0) & (band[clear[:-1]] < 0)]]
-    return float(np.diff(rising[[0, -1]])[0] / (len(rising) - 1)) if len(rising) > 1 else np.nan
-
-
-def _blur(values: _Values, sigma: float) -> _Values:
-    blurred: Any = cv2.GaussianBlur(
-        values[None], (0, 0), max(sigma, 0.3), borderType=cv2.BORDER_CONSTANT
-    )
-    return np.asarray(blurred[0], dtype=np.float64)
-
-
-def sample(field: FloatArray, place: _Values) -> _Values:
+def sample(field: FloatArray, place: Array) -> Array:
     """Bilinear values of `field` (h, w) at columns and rows (2, ...); NaN beyond its border."""
     column, row = place
     return sampled_at(field, column, row, outside=np.nan).astype(np.float64)
@@ -222,14 +172,14 @@ class PageSurface:
     surface: ResultSurface
     albedo: FloatArray | None = None
     """(h, w) or (h, w, 3) relative, on the surface's grid."""
-    minutiae: _Values = field(default_factory=lambda: np.empty((0, 3)))
+    minutiae: Array = field(default_factory=lambda: np.empty((0, 3)))
     """(N, 3): x and y in mm, and direction in rad, counter-clockwise from x."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What a page needs to draw surfaces: texts of its scripts, and the source that its policy
-    allows."""
+    """What a page needs to draw surfaces: data, scripts, and the hashes of these for the page's
+    content security policy."""
 
     titles: Sequence[str]
     data: Markup
@@ -239,8 +189,7 @@ class Scene:
 
 
 def scene(surfaces: Sequence[PageSurface]) -> Scene:
-    """Describe one surface, or two to be compared in one frame, for a page that shows them in three
-    dimensions."""
+    """The 3D view of a page: one surface, or two in one frame to compare them."""
     scripts = _scripts()
     hashes = (base64.b64encode(hashlib.sha256(script.encode()).digest()) for script in scripts)
     data = json.dumps([_encoded(surface) for surface in surfaces], allow_nan=False)
@@ -271,12 +220,16 @@ def _scripts() -> list[Markup]:
     ]
 
 
+_MOST_POINTS = 400_000
+"""Points of a surface inside a page at most."""
+
+
 def _encoded(page: PageSurface) -> dict[str, Any]:
     """Shape, relief and brightness on a regular grid of x and y."""
     surface = page.surface
     unit = surface.unit
     known = np.isfinite(surface.height_mm)
-    thinning = max(1.0, float(np.sqrt(known.sum() / MOST_POINTS)))
+    thinning = max(1.0, float(np.sqrt(known.sum() / _MOST_POINTS)))
     pitch_mm = thinning * surface.pitch_mm
     left = float(np.nanmin(surface.x_mm))
     top = float(np.nanmax(surface.y_mm))
@@ -285,7 +238,7 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
     x, y = np.meshgrid(left + pitch_mm * np.arange(columns), top - pitch_mm * np.arange(rows))
     place = surface.locate(x, y)
 
-    def gridded(field: FloatArray) -> _Values:
+    def gridded(field: FloatArray) -> Array:
         return sample(_averaged(field, known, thinning), place)
 
     return {
@@ -297,10 +250,8 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
         "pitch": pitch_mm * unit.per_mm,
         "unit": unit.name,
         "small": unit.small,
-        "shape": _in_16_bits(
-            gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm, SHAPE_STEP
-        ),
-        "ridge": _in_16_bits(gridded(surface.ridge_mm) * unit.per_mm, RIDGE_STEP),
+        "shape": _in_16_bits(gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm, 0.001),
+        "ridge": _in_16_bits(gridded(surface.ridge_mm) * unit.per_mm, 0.0002),
         "brightness": None
         if page.albedo is None
         else _jpeg([gridded(part) for part in np.moveaxis(np.atleast_3d(page.albedo), -1, 0)]),
@@ -308,7 +259,7 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
     }
 
 
-def _jpeg(albedo: Sequence[_Values]) -> str:
+def _jpeg(albedo: Sequence[Array]) -> str:
     """Brightness for people, grey or red, green and blue; black where it is not known."""
     known = np.nan_to_num(np.dstack(albedo[::-1]), posinf=0.0, neginf=0.0)  # OpenCV: blue first
     brightest = max(float(np.percentile(known, 99.5)), 1e-6)
@@ -328,7 +279,7 @@ def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> Float
     return np.where(known, total / np.maximum(weight, 1e-6), np.nan)
 
 
-def _in_16_bits(values: _Values, step: float) -> dict[str, Any]:
+def _in_16_bits(values: Array, step: float) -> dict[str, Any]:
     """A field as PNG: red and green are the high and low byte of its level, zero where it is not
     known."""
     known = np.isfinite(values)

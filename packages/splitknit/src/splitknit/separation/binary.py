@@ -13,6 +13,7 @@ light is fitted too, and the result is that of the middle.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -20,9 +21,10 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.imaging.chunks import for_each_chunk
-from splitknit.model import BoolArray, FloatArray
-from splitknit.separation.parameters import CLIP_LEVEL, STATE_EDGE
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.separation.stacks import (
+    CLIP_LEVEL,
+    STATE_EDGE,
     Separation,
     check_change,
     check_contrast,
@@ -41,6 +43,7 @@ def checkerboard(
     check_px: float | None = None,
     mask: Any = None,
     clip_level: float | None = CLIP_LEVEL,
+    files: Sequence[str] = (),
 ) -> Separation:
     """Separate direct from global light.
 
@@ -66,7 +69,7 @@ def checkerboard(
     check_px : side of a check on the camera's pixels, for skin; without, global light is the same
     under all shifts
     mask : (H, W) bool
-    clip_level : of :func:`splitknit.separation.stacks.light_stack`
+    clip_level, files : of :func:`splitknit.separation.stacks.light_stack`
 
     Source: S. K. Nayar et al., "Fast separation of direct and global components of a scene using
     high frequency illumination", ACM Transactions on Graphics 25(3), 2006, section 3.
@@ -87,7 +90,7 @@ def checkerboard(
         check_px is None or 1 <= check_px <= 1e4,
         f"check_px must be at least 1, but it is {check_px}.",
     )
-    images = light_stack(stack, mask, clip_level)
+    images = light_stack(stack, mask, clip_level, files=files)
     if patterns is None:
         low, high = images.light.min(axis=0), images.light.max(axis=0)
         check_contrast(low, high, images.mask)
@@ -111,19 +114,12 @@ def _by_states(
 
     def work(rows: slice) -> None:
         state = states[:, rows].astype(np.float64)
-        used: BoolArray = (state <= STATE_EDGE) | (state >= 1 - STATE_EDGE)
-        number = np.maximum(used.sum(axis=0), 1)[..., None]
-        s = np.where(used, dark + (1 - dark) * state, 0.0)
-        mean_s = s.sum(axis=0)[..., None] / number
-        values = light[:, rows]
-        mean = np.einsum("nhw,nhwc->hwc", used.astype(np.float64), values) / number
-        centred = np.where(used, s - mean_s[..., 0], 0.0)
-        spread = (centred * centred).sum(axis=0)[..., None]
-        slope = np.einsum("nhw,nhwc->hwc", centred, values - mean) / np.maximum(spread, 1e-12)
-        direct[rows] = slope
-        global_[rows] = (mean - slope * mean_s) / k
+        terms = np.stack([np.ones_like(state), dark + (1 - dark) * state], axis=-1)
+        fitted = _fitted(terms, _decided(state), light[:, rows])
+        direct[rows] = fitted[:, :, 1]
+        global_[rows] = fitted[:, :, 0] / k
 
-    for_each_chunk(work, light.shape[1], light.shape[2], 2 * light[:, 0, 0].size)
+    for_each_chunk(work, light.shape[1], light.shape[2], 4 * light[:, 0, 0].size)
     return direct, global_
 
 
@@ -135,25 +131,35 @@ def _in_the_middle(
     its rim, stands for the light from around, and weighs the images.
     """
     around = np.stack([_square_mean(state, 0.8 * check_px) for state in states])
-    used = (states <= STATE_EDGE) | (states >= 1 - STATE_EDGE)
     low = np.empty(light.shape[1:], dtype=np.float32)
     high = np.empty_like(low)
 
     def work(rows: slice) -> None:
         near = around[:, rows].astype(np.float64)
-        terms = np.stack([np.ones_like(near), states[:, rows], near], axis=-1)  # (N, h, W, 3)
-        weighted = terms * (used[:, rows] * np.abs(2 * near - 1))[..., None]
-        normal = np.einsum("nhwk,nhwl->hwkl", weighted, terms)
-        # where no shift separates the terms they share the light; far too little to bias what is
-        # known
-        normal += 1e-9 * np.trace(normal, axis1=2, axis2=3)[..., None, None] * np.eye(3)
-        fitted = np.linalg.solve(normal, np.einsum("nhwk,nhwc->hwkc", weighted, light[:, rows]))
+        terms = np.stack([np.ones_like(near), states[:, rows], near], axis=-1)
+        weights = _decided(states[:, rows]) * np.abs(2 * near - 1)
+        fitted = _fitted(terms, weights, light[:, rows])
         for part, image in ((low, near.argmin(axis=0)), (high, near.argmax(axis=0))):
             term = np.take_along_axis(terms, image[None, ..., None], axis=0)[0]
             part[rows] = np.einsum("hwk,hwkc->hwc", term, fitted)
 
     for_each_chunk(work, light.shape[1], light.shape[2], 6 * light[:, 0, 0].size)
     return low, high
+
+
+def _decided(states: FloatArray) -> BoolArray:
+    """Whether a pixel is lit or dark, and not at the rim of a check."""
+    return (states <= STATE_EDGE) | (states >= 1 - STATE_EDGE)
+
+
+def _fitted(terms: FloatArray, weights: FloatArray | BoolArray, light: FloatArray) -> Array:
+    """Coefficients (h, W, K, C) of terms (N, h, W, K) by weighted least squares in each pixel of
+    `light` (N, h, W, C)."""
+    weighted = terms * weights[..., None]
+    normal = np.einsum("nhwk,nhwl->hwkl", weighted, terms)
+    # where no shift separates the terms they share the light; far too little to bias what is known
+    normal += 1e-9 * np.trace(normal, axis1=2, axis2=3)[..., None, None] * np.eye(terms.shape[-1])
+    return np.asarray(np.linalg.solve(normal, np.einsum("nhwk,nhwc->hwkc", weighted, light)))
 
 
 def _square_mean(state: FloatArray, side_px: float) -> FloatArray:

@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.imaging.band import GREY_WEIGHTS
+from splitknit.imaging.pixels import GREY_WEIGHTS
 from splitknit.model import FloatArray
 from splitknit.networks.unet import Network, load_network, run_network
-from splitknit.separation.parameters import LEVEL_BLOCK_PX, LEVEL_SIGMA_PX, MIN_LEVEL
 
 DEFAULT_NETWORK = "direct"
 
@@ -25,6 +24,11 @@ def exposure_level(image: FloatArray) -> float:
     return float(np.percentile(sample, 99.9)) if sample.size else 1.0
 
 
+_LEVEL_SIGMA_PX = 16.0
+"""Standard deviation of the neighbourhood whose mean brightness the network takes as one; it was
+trained with it. Range: 8 to 32 (validation/parameters)."""
+
+
 def local_level(image: FloatArray) -> FloatArray:
     """(h, w) mean brightness of the skin about each pixel, one for all channels: what the network
     takes as one. A Gaussian mean over the pixels of `image`, (h, w) or (C, h, w), that are not
@@ -32,15 +36,17 @@ def local_level(image: FloatArray) -> FloatArray:
     """
     grey = np.maximum(image if image.ndim == 2 else image.mean(axis=0, dtype=np.float32), 0.0)
     height, width = grey.shape
-    coarse = -(-width // LEVEL_BLOCK_PX), -(-height // LEVEL_BLOCK_PX)
-    sigma = LEVEL_SIGMA_PX / LEVEL_BLOCK_PX
+    coarse = -(-width // 8), -(-height // 8)
 
     def spread(values: FloatArray) -> FloatArray:
         small = cv2.resize(values, coarse, interpolation=cv2.INTER_AREA)
-        return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
+        return np.asarray(
+            cv2.GaussianBlur(small, (0, 0), _LEVEL_SIGMA_PX / 8, borderType=cv2.BORDER_REFLECT)
+        )
 
     level = spread(grey) / np.maximum(spread((grey > 0).astype(np.float32)), 1e-3)
-    least = max(MIN_LEVEL * exposure_level(image), 1e-12)
+    # below this fraction of white there is noise alone
+    least = max(0.05 * exposure_level(image), 1e-12)
     return np.asarray(
         cv2.resize(np.maximum(level, least), (width, height), interpolation=cv2.INTER_LINEAR)
     )
@@ -66,10 +72,9 @@ def direct_light(
     """
     ready = network if isinstance(network, Network) else load_network(network)
     stack = np.asarray(images, dtype=np.float32)
-    fault = "images must have the shape (N, H, W) or (N, 3, H, W),"
     require(
         stack.ndim == 3 or (stack.ndim == 4 and stack.shape[1] == 3),
-        f"{fault} but they have {stack.shape}.",
+        f"images must have the shape (N, H, W) or (N, 3, H, W), but they have {stack.shape}.",
     )
     require(stack.size > 0, f"images are empty: shape {stack.shape}.")
     levels = np.stack([local_level(image) for image in stack])

@@ -10,39 +10,35 @@ Of two folders of photographs through polarising films go ``specular_K.png`` and
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import naming, require
 from splitknit.findings import Finding
-from splitknit.imaging.band import decode_table, linear_image, pick_channel, srgb_code
-from splitknit.imaging.polarised import (
+from splitknit.imaging.pixels import pick_channel, srgb_code
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.images import write_float_tiff, write_image
+from splitknit.io.photograph_files import photographs_in
+from splitknit.io.photos import encoding_of, read_photo
+from splitknit.io.provenance import json_text, provenance
+from splitknit.io.targets import check_target
+from splitknit.model import FloatArray, Progress
+from splitknit.observation.films import (
     NOT_SPECULAR,
     picture_bytes,
     separate_polarised,
     specular_picture,
 )
-from splitknit.io.atomic import atomic_folder
-from splitknit.io.content import mask_from_image
-from splitknit.io.images import StackReader, image_size, write_float_tiff, write_image
-from splitknit.io.photograph_files import natural_order, photographs_in
-from splitknit.io.photos import encoding_of, read_photo
-from splitknit.io.provenance import json_text, provenance
-from splitknit.io.targets import check_target
-from splitknit.model import BoolArray, FloatArray, Progress
+from splitknit.observation.patterns import ESTIMATE, PatternLight, lit_images, read_light
+from splitknit.observation.stored import linear_image
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.direct import direct_light
-from splitknit.separation.parameters import REPORTED_LEVEL, RIDGES_A_FINGER
 from splitknit.separation.stacks import Separation, estimate_patterns
 
-ESTIMATE = "estimate"
-_NOT_LIT = ("black", "white", "mask")
-_SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
 MARKER = "direct.tiff"
 POLARISED_MARKER = "specular.png"
 LINEAR = "linear light, 1 = full scale of the images"
@@ -84,27 +80,26 @@ def separate_to_folder(
     with atomic_folder(out) as target:
         progress("reading", 0.0)
         if encoding is None:
-            photographs = _lit_images(folder) if method == "network" and folder.is_dir() else []
+            photographs = lit_images(folder) if method == "network" and folder.is_dir() else []
             encoding = encoding_of(photographs, lambda: None)[0] if photographs else "linear"
         light = read_light(folder, states_folder, encoding)
         progress("separating", 0.5)
-        common: dict[str, Any] = {"mask": light.mask, "clip_level": light.clip_level}
+        common: dict[str, Any] = {
+            "mask": light.mask,
+            "clip_level": light.clip_level,
+            "files": light.names,
+        }
         model: dict[str, Any] = {"alpha": alpha, "dark": dark, "check_px": check_px}
-        try:
+
+        def separated() -> Separation:
+            if method == "network":
+                return _by_network(light)
             states = light.patterns
             if patterns == ESTIMATE:
                 states = estimate_patterns(light.stack, **common)
-            if method == "network":
-                parts = _by_network(light)
-            else:
-                parts = checkerboard(light.stack, patterns=states, **model, **common)
-        except BadInput as error:  # checks know the images' numbers only
-            message = re.sub(
-                r"image (\d+)",
-                lambda match: f"{match[0]} ({light.names[int(match[1])]})",
-                str(error),
-            )
-            raise BadInput(f"{folder}: {message}") from error
+            return checkerboard(light.stack, patterns=states, **model, **common)
+
+        parts = naming(folder, separated)
         progress("writing", 0.8)
         choices: dict[str, Any] = {"encoding": encoding}
         if method == "network":
@@ -122,6 +117,17 @@ def separate_to_folder(
         (target / "report.json").write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}
+
+
+_REPORTED_LEVEL = 0.1
+"""Figures of the report are over pixels brighter than this fraction of the brightest."""
+
+
+def _check_agrees(
+    kinds: set[tuple[tuple[int, ...], np.dtype[Any]]], words: str, rows: int, columns: int
+) -> None:
+    """Refuse with `words` a photograph of another size than those before."""
+    require(all(shape[:2] == (rows, columns) for shape, _ in kinds), words)
 
 
 def separate_polarised_folders(
@@ -148,7 +154,7 @@ def separate_polarised_folders(
     if encoding is None:
         encoding, _ = encoding_of(series[0], lambda: False)
     hashes = {}
-    kinds = set()
+    kinds: set[tuple[tuple[int, ...], np.dtype[Any]]] = set()
     specular: NDArray[np.floating] = np.zeros(1, np.float32)
     diffuse = specular
     with atomic_folder(out) as target:
@@ -156,13 +162,13 @@ def separate_polarised_folders(
             progress("separating", k / count)
             light = []
             for folder, files in zip((parallel, crossed), series, strict=True):
-                photo = read_photo(files[k])
-                kinds.add((photo.pixels.shape, photo.pixels.dtype))
-                require(
-                    len(kinds) == 1 and photo.pixels.dtype.kind == "u",
+                words = (
                     f"{files[k]} is not of the size and kind of {series[0][0]}; all must agree, in"
-                    " integers.",
+                    " integers."
                 )
+                photo = read_photo(files[k], partial(_check_agrees, kinds, words))
+                kinds.add((photo.pixels.shape, photo.pixels.dtype))
+                require(len(kinds) == 1 and photo.pixels.dtype.kind == "u", words)
                 light.append(linear_image(photo.pixels, encoding))
                 hashes[f"{folder.name}/{files[k].name}"] = photo.sha256
             parts = separate_polarised(*light)
@@ -172,9 +178,10 @@ def separate_polarised_folders(
                 write_image(target / f"{name}_{k}.png", np.round(part * 65535).astype(np.uint16))
         specular /= count
         diffuse /= count
-        lit = diffuse > REPORTED_LEVEL * float(np.quantile(diffuse, 0.999))
+        lit = diffuse > _REPORTED_LEVEL * float(np.quantile(diffuse, 0.999))
         require(lit.any(), "nothing is lit; the crossed images are black.")
-        picture = specular_picture(specular[None], lit, max(lit.shape) / RIDGES_A_FINGER)
+        # periods of ridges that a picture of a finger is about long
+        picture = specular_picture(specular[None], lit, max(lit.shape) / 45)
         write_image(target / POLARISED_MARKER, picture_bytes(picture))
         share = float(np.median(specular[lit] / (specular + diffuse)[lit]))
         names = [f"{name}_{k}.png" for name in ("specular", "diffuse") for k in range(count)]
@@ -211,7 +218,7 @@ def _by_network(light: PatternLight) -> Separation:
 def _figures(parts: Separation, light: PatternLight, method: str) -> dict[str, Any]:
     total = parts.white
     grey = total if total.ndim == 2 else total.mean(axis=-1)
-    lit = grey > REPORTED_LEVEL * np.nanquantile(grey, 0.999)  # NaN is not
+    lit = grey > _REPORTED_LEVEL * np.nanquantile(grey, 0.999)  # NaN is not
     require(lit.any(), "nothing is lit; the images are black.")
     negative = float((parts.global_[lit] < 0).mean())
     finding = Finding(
@@ -238,78 +245,3 @@ def _light_picture(light: FloatArray) -> NDArray[np.uint8]:
     top = max(float(np.nanquantile(light, 0.999)), 1e-12)
     scaled = np.clip(np.nan_to_num(light) / top, 0.0, 1.0)
     return np.asarray(np.round(255 * srgb_code(scaled)), dtype=np.uint8)
-
-
-# The images of a folder under patterns, as linear light.
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PatternLight:
-    """The images of a folder as linear light without the black level."""
-
-    names: tuple[str, ...]  # of the images
-    stack: FloatArray  # (N, H, W) or (N, H, W, 3)
-    patterns: FloatArray | None  # (N, H, W) given states
-    mask: BoolArray | None  # (H, W)
-    clip_level: float  # value at which the files clip
-    hashes: dict[str, str]  # SHA-256 by name
-
-
-def _lit_images(folder: Path) -> list[Path]:
-    """The images of a folder but for ``black``, ``white`` and ``mask``."""
-    return [file for file in _images_in(folder) if file.stem.lower() not in _NOT_LIT]
-
-
-def read_light(folder: Path, states: Path | None = None, encoding: str = "linear") -> PatternLight:
-    """Read all images of a folder, and of a folder of `states`, in the order of their names
-    (``a_2`` before ``a_10``), ``black`` and ``mask`` apart and without ``white``; hashes go by
-    names relative to the folder, wherever that lies.
-    """
-    for place in (folder, *([] if states is None else [states])):
-        what = "of images" if place == folder else f"of patterns (nor the word '{ESTIMATE}')"
-        require(place.is_dir(), f"'{place}' is not a folder {what}.")
-    files = _images_in(folder)
-    roles = {file.stem.lower(): file for file in files if file.stem.lower() in ("black", "mask")}
-    images = _lit_images(folder)
-    require(
-        len(images) > 0, f"'{folder}' holds no PNG, TIFF or JPEG images; name the folder that does."
-    )
-    with StackReader() as reader:
-        size, by = image_size(images[0]), str(images[0])
-        pixels = reader.start(images, size, by)
-        singles = {role: reader.start([file], size, by)[0] for role, file in roles.items()}
-        state_pixels = None if states is None else reader.start(_images_in(states), size, by)
-        hashes = reader.finish()
-    channels = pixels.shape[3]
-
-    black = np.zeros(1, dtype=np.float32)
-    if "black" in singles:
-        light = linear_image(singles["black"], encoding)
-        black = light if light.shape[2] == channels else light.mean(axis=-1, keepdims=True)
-    stack = np.empty(pixels.shape, dtype=np.float32)
-    for k, image in enumerate(pixels):
-        stack[k] = linear_image(image, encoding) - black
-    table = decode_table(pixels.dtype, encoding)
-    some = 0 if channels == 1 else slice(None)
-    patterns = None
-    if state_pixels is not None:
-        patterns = np.stack([linear_image(image, "linear").mean(axis=-1) for image in state_pixels])
-    named = {Path(name): value for name, value in hashes.items()}
-    return PatternLight(
-        tuple(file.name for file in images),
-        stack[..., some],
-        patterns,
-        mask_from_image(singles["mask"], str(roles["mask"])) if "mask" in singles else None,
-        float(table[int(0.994 * (table.size - 1))]) - float(np.median(black)),
-        {
-            (p.relative_to(folder).as_posix() if p.is_relative_to(folder) else p.name): v
-            for p, v in named.items()
-        },
-    )
-
-
-def _images_in(folder: Path) -> list[Path]:
-    files = [
-        file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()
-    ]
-    return sorted(files, key=lambda file: (natural_order(file.stem), file.name))

@@ -14,6 +14,7 @@ global components of a scene using high frequency illumination", ACM Transaction
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,16 +25,6 @@ from numpy.typing import NDArray
 from splitknit.checks import check_mask
 from splitknit.errors import BadInput, require
 from splitknit.model import BoolArray, FloatArray
-from splitknit.separation.parameters import (
-    BLACK_IMAGE,
-    CLIP_LEVEL,
-    DECIDED_PART,
-    LIT_LEVEL,
-    MAX_CLIPPED,
-    MAX_CONSTANT,
-    MIN_CONTRAST,
-    STATE_EDGE,
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +51,7 @@ class LightStack:
     light: FloatArray  # (N, H, W, C) linear light
     mask: BoolArray  # (H, W), true where a result is wanted
     grey: bool  # whether the images came without an axis for channels
+    names: tuple[str, ...]  # what messages call the images
 
     def shaped(self, values: NDArray[Any]) -> FloatArray:
         """`values` (H, W, C) as a result: float32, NaN outside the mask, without the channel axis
@@ -83,22 +75,33 @@ class LightStack:
         return Separation(*map(self.shaped, parts))
 
 
-def light_stack(stack: Any, mask: Any = None, clip_level: float | None = CLIP_LEVEL) -> LightStack:
+CLIP_LEVEL = 0.99  # of full scale: linear light from which on a value counts as clipped
+
+
+def light_stack(
+    stack: Any,
+    mask: Any = None,
+    clip_level: float | None = CLIP_LEVEL,
+    *,
+    files: Sequence[str] = (),
+) -> LightStack:
     """Check a stack of linear light, (N, H, W), (N, H, W, C) or a sequence of images, C = 1 or 3,
     and its mask (H, W).
 
     `clip_level`: linear light from which on a value counts as clipped; None where the images cannot
     clip. Values beyond 1 show that the stack is not a file's [0, 1] scale, and nothing is looked
-    for. Raises BadInput if there are fewer than two images, sizes differ, values are not finite, or
-    an image is black or overexposed.
+    for. `files`: the images' names, for messages. Raises BadInput if there are fewer than two
+    images, sizes differ, values are not finite, or an image is black or overexposed.
     """
     images = [np.asarray(image) for image in stack]
     require(len(images) >= 2, f"at least 2 images are needed, but there are {len(images)}.")
+    names = tuple(f"image {k} ({file})" for k, file in enumerate(files))
+    names = names or tuple(f"image {k}" for k in range(len(images)))
     first = images[0].shape
-    for k, image in enumerate(images):
+    for name, image in zip(names, images, strict=True):
         require(
             image.shape == first,
-            f"image {k} has the shape {image.shape}, but image 0 has {first}; all must be of one"
+            f"{name} has the shape {image.shape}, but {names[0]} has {first}; all must be of one"
             " size and kind.",
         )
     grey = len(first) == 2
@@ -108,29 +111,32 @@ def light_stack(stack: Any, mask: Any = None, clip_level: float | None = CLIP_LE
         f" {first}.",
     )
     light = np.stack([np.atleast_3d(image) for image in images]).astype(np.float32)
-    for k, image in enumerate(light):
-        require(np.isfinite(image).all(), f"image {k} contains NaN or infinite values.")
-    where = check_mask(mask, first[:2])
-    _check_exposure(light, where, clip_level)
-    return LightStack(light, where, grey)
+    for name, image in zip(names, light, strict=True):
+        require(np.isfinite(image).all(), f"{name} contains NaN or infinite values.")
+    checked = LightStack(light, check_mask(mask, first[:2]), grey, names)
+    _check_exposure(checked, clip_level)
+    return checked
 
 
-def _check_exposure(light: FloatArray, mask: BoolArray, clip_level: float | None) -> None:
+def _check_exposure(images: LightStack, clip_level: float | None) -> None:
+    light, mask = images.light, images.mask
     peaks = np.array([np.quantile(_thinned(image.max(axis=-1), mask), 0.999) for image in light])
     usual = float(np.median(peaks))
     require(peaks.max() > 0, "every image is black; check the light source and capture again.")
     k = int(np.argmin(peaks))
+    # an image whose bright pixels stay below this fraction of the other images' is black
     require(
-        peaks[k] > BLACK_IMAGE * usual,
-        f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others "
+        peaks[k] > 0.03 * usual,
+        f"{images.names[k]} is black: its bright pixels reach {peaks[k]:.3g}, those of the others "
         f"{usual:.3g}; its pattern lights nothing, capture it again or leave it out.",
     )
     brightest = light.max(axis=(0, -1))
     if clip_level is None or brightest.max() > 1.0001:
         return
     fraction = float((brightest[mask] >= clip_level).mean())
+    # a stack with more clipped pixels is refused: its maximum, so its direct light, is wrong
     require(
-        fraction <= MAX_CLIPPED,
+        fraction <= 0.02,
         f"{percent(fraction)} of the pixels are saturated (linear value {clip_level:g} or more) in "
         "their brightest image; capture again with a shorter exposure.",
     )
@@ -162,19 +168,26 @@ def percent(fraction: float) -> str:
 # Whether a stack can hold what its patterns are to show: pixels that change.
 
 
+_LIT_LEVEL = 0.1
+"""Only pixels brighter than this fraction of the brightest ones are checked: no black background,
+and nothing that 8 bits cannot resolve."""
+_MIN_CONTRAST = 0.005
+"""A pixel that changes by less than this fraction of its maximum was never lit, or never dark."""
+
+
 def check_contrast(low: FloatArray, high: FloatArray, mask: BoolArray) -> None:
     """Refuse a stack in which too many bright pixels do not change."""
     dark, bright = low.max(axis=-1), high.max(axis=-1)
-    looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(_thinned(bright, mask), 0.999)))
-    constant = looked_at & (bright - dark <= MIN_CONTRAST * bright)
+    looked_at = mask & (bright > _LIT_LEVEL * float(np.quantile(_thinned(bright, mask), 0.999)))
+    constant = looked_at & (bright - dark <= _MIN_CONTRAST * bright)
     fraction = float(constant.sum()) / max(1.0, float(looked_at.sum()))
-    if fraction <= MAX_CONSTANT:
+    if fraction <= 0.05:  # a stack with more such pixels among the bright ones is refused
         return
     row, column = np.argwhere(constant)[0]
     raise BadInput(
         f"{percent(fraction)} of the bright pixels were never lit or never dark (first at row"
-        f" {row}, column {column}): they change by less than {100 * MIN_CONTRAST:g} % from image to"
-        " image; let the patterns reach every pixel, or give a mask."
+        f" {row}, column {column}): they change by less than {100 * _MIN_CONTRAST:g} % from image"
+        " to image; let the patterns reach every pixel, or give a mask."
     )
 
 
@@ -194,8 +207,16 @@ def check_change(light: FloatArray) -> None:
     )
 
 
+_DECIDED_PART = 1 - 2 * 0.2
+"""Part of half the range of its neighbours beyond which a pixel's state is decided."""
+
+
 def estimate_patterns(
-    stack: Any, *, mask: Any = None, clip_level: float | None = CLIP_LEVEL
+    stack: Any,
+    *,
+    mask: Any = None,
+    clip_level: float | None = CLIP_LEVEL,
+    files: Sequence[str] = (),
 ) -> FloatArray:
     """Find the states (N, H, W) of unknown patterns from the images themselves: 1 lit, 0 dark, 0.5
     undecided.
@@ -207,7 +228,7 @@ def estimate_patterns(
     towards zero, where maximum and minimum would invent direct light. Checks must be wider than
     about five pixels.
     """
-    images = light_stack(stack, mask, clip_level)
+    images = light_stack(stack, mask, clip_level, files=files)
     kernel = cv2.getGaussianKernel(9, 1.0, cv2.CV_64F)
     around = kernel @ kernel.T
     around[4, 4] = 0.0
@@ -220,9 +241,13 @@ def estimate_patterns(
     middle = (high + low) / 2
     half = np.maximum((high - low) / 2, 1e-20)
     states = np.full(means.shape, 0.5, dtype=np.float32)
-    states[means >= middle + DECIDED_PART * half] = 1.0
-    states[means <= middle - DECIDED_PART * half] = 0.0
+    states[means >= middle + _DECIDED_PART * half] = 1.0
+    states[means <= middle - _DECIDED_PART * half] = 0.0
     return states
+
+
+STATE_EDGE = 0.1
+"""Known states are lit from one less this, dark up to this; the rim of a check is left out."""
 
 
 def check_patterns(patterns: Any, images: LightStack) -> FloatArray:
@@ -263,11 +288,11 @@ def _check_order(images: LightStack, states: FloatArray) -> None:
     for k, best in enumerate(np.argmax(correlation, axis=1)):
         require(
             correlation[k, k] > 0.02,
-            f"image {k} does not show its pattern at all; check that images and patterns belong"
-            " together.",
+            f"{images.names[k]} does not show its pattern at all; check that images and patterns"
+            " belong together.",
         )
         require(
             correlation[k, best] < correlation[k, k] + 0.02,
-            f"image {k} shows pattern {best} instead of its own: a shift is repeated, missing or"
-            " out of order.",
+            f"{images.names[k]} shows pattern {best} instead of its own: a shift is repeated,"
+            " missing or out of order.",
         )

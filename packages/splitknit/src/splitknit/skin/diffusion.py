@@ -19,7 +19,6 @@ import numpy as np
 
 from splitknit.model import Array
 from splitknit.settings import Checked, Limits
-from splitknit.skin.parameters import COLOUR_TRUST
 
 CHANNELS = ("red", "green", "blue", "nir")
 SCATTERING_PER_MM = (3.39, 4.12, 5.18, 2.16)
@@ -28,6 +27,9 @@ SCATTERING_PER_MM = (3.39, 4.12, 5.18, 2.16)
 ABSORPTION_PER_MM = (0.030, 0.20, 0.40, 0.020)
 """Absorption in the channels. Source: the simulator's light skin, docs/explain/simulator.md,
 "Optics"."""
+_COLOUR_TRUST = 0.6
+"""How much the absorption in green and blue follows this finger's colour: 0 not at all, 1 fully.
+Chosen on: judgement. Range: 0.42 to 0.84 (validation/parameters)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +50,7 @@ class SkinSettings(Checked):
         light) if given.
 
         The absorption in red is taken as it is; green and blue get what brings the ratio of the
-        albedos of :func:`diffusion` to the colour, as far as `COLOUR_TRUST` says (in the
+        albedos of :func:`diffusion` to the colour, as far as `_COLOUR_TRUST` says (in the
         logarithm).
         """
         assumed = ABSORPTION_PER_MM[CHANNELS.index(channel)]
@@ -57,7 +59,7 @@ class SkinSettings(Checked):
         scattering = self.scattering(channel)
         red = diffusion(self.scattering("red"), ABSORPTION_PER_MM[0]).albedo
         usual = diffusion(scattering, assumed).albedo / red
-        wanted = red * usual * (max(colour, 1e-3) / usual) ** COLOUR_TRUST
+        wanted = red * usual * (max(colour, 1e-3) / usual) ** _COLOUR_TRUST
         trial = np.geomspace(assumed / 4 + 1e-4, assumed * 12 + 1e-2, 60)
         albedo = np.array([diffusion(scattering, float(a)).albedo for a in trial])
         return float(np.exp(np.interp(-wanted, -albedo, np.log(trial))))

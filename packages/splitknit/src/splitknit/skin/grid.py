@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.finger.regions import largest_component
-from splitknit.imaging.geometry import nearest_known
+from splitknit.imaging.geometry import local_mean, nearest_known
 from splitknit.imaging.view import View
 from splitknit.model import Array, BoolArray, FloatArray, Rig
 
@@ -97,25 +97,13 @@ class Grid:
     ) -> FloatArray:
         """Gaussian mean of (..., h, w) over `region` (h, w) only; wide Gaussians on a reduced
         copy."""
-        rows, columns = self.shape
-        weight = region.astype(np.float32)
         sigma = sigma_mm / self.pitch_mm
-        step = max(1, int(sigma / 4))
-        size = (-(-columns // step), -(-rows // step))
-
-        def blurred(values: FloatArray) -> FloatArray:
-            small = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
-            return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma / step))
-
-        total = np.maximum(blurred(weight), 1e-3)
 
         def mean(values: FloatArray) -> FloatArray:
-            known = np.where(weight > 0, values * weight, 0.0).astype(np.float32)
-            means = blurred(known) / total
-            return np.asarray(cv2.resize(means, (columns, rows), interpolation=cv2.INTER_LINEAR))
+            return local_mean(np.where(region > 0, values, 0), region, sigma)[0]
 
         with ThreadPoolExecutor(2) as pool:
-            means = list(pool.map(mean, field.reshape(-1, rows, columns)))
+            means = list(pool.map(mean, field.reshape(-1, *self.shape)))
         return np.reshape(means, field.shape)
 
     @cached_property

@@ -4,7 +4,7 @@ back."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from math import ceil
 from typing import Annotated, Literal
@@ -13,16 +13,17 @@ import cv2
 import numpy as np
 
 from splitknit.findings import Finding
-from splitknit.imaging.band import Window, block_means, has_colour, linear_channels
 from splitknit.imaging.geometry import bounding_box
-from splitknit.imaging.polarised import contrast
+from splitknit.imaging.pixels import Window, block_means
 from splitknit.imaging.view import view_of
-from splitknit.model import Array, Band, BoolArray, Capture, FloatArray, Rig
+from splitknit.model import Array, BoolArray, Camera, FloatArray, Rig
 from splitknit.networks.unet import load_network, run_network
+from splitknit.observation.films import contrast
+from splitknit.observation.light import Light
 from splitknit.settings import Checked, Limits
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import Networks, can_learn
-from splitknit.skin.parameters import GRID_MARGIN_MM, NETWORK_TILE_PX, WORKING_PITCH_MM
+from splitknit.steps import step
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,27 +94,30 @@ class SkinImages:
         return np.pad(covered, np.stack([before, after], axis=1), mode="edge")
 
 
+@step("light")
 def working_images(
-    capture: Capture,
-    bands: tuple[Band, ...],
+    bands: tuple[Light, ...],
+    beside: Light | None,
     window: Window,
     inside: BoolArray,
     settings: MetricSettings,
 ) -> SkinImages:
     """Linear images on a grid that the networks can read, where there is one; and the networks.
 
-    `bands`: the white one, and the near-infrared one if there is one; `window`: of the finger;
+    `bands`: the white one, and the near-infrared one if there is one; `beside`: the white light
+    from the side of the finger; `window`: of the finger;
     `inside`: (h, w) pixels of it that are reconstructed.
     """
-    rows, columns = bounding_box(inside, round(GRID_MARGIN_MM * capture.rig.camera.px_per_mm))
+    # 0.1 mm beside the outline, for speed
+    rows, columns = bounding_box(inside, round(0.1 * bands[0].built.camera.px_per_mm))
     top, left = window[0].start, window[1].start
     of_finger = (
         slice(top + rows.start, top + rows.stop),
         slice(left + columns.start, left + columns.stop),
     )
-    grid, images, binning = skin_images(capture, bands, of_finger, inside[rows, columns])
-    white = bands[0]
-    crossed = _crossed(capture, white, images[0], of_finger, binning)
+    grid, images, binning = skin_images(bands, of_finger, inside[rows, columns])
+    white = bands[0].at(binning, of_finger)
+    crossed = _crossed(white, images[0])
     wanted = settings.relief == "network"
     coarse = not can_learn(images[0], grid.pitch_mm)
     finer = wanted and coarse and can_learn(images[0], grid.pitch_mm / FACTOR)
@@ -123,13 +127,13 @@ def working_images(
         return finer_images(band) if finer else band
 
     side = None
-    if white.side is not None and (crossed is not None or (wanted and readable)):
-        light = linear_channels(white.side, capture.encoding, _names(white), of_finger, binning)
-        both = BandImages(images[0].channels, light, capture.rig.select(white.side.lights))
-        of_side = _crossed(capture, white.side, both, of_finger, binning)
-        side = fine(both), of_side and fine(of_side), capture.rig.select(white.side.leds)
+    if beside is not None and (crossed is not None or (wanted and readable)):
+        light = beside.at(binning, of_finger)
+        both = BandImages(images[0].channels, light.stack, light.rig)
+        of_side = _crossed(light, both)
+        side = fine(both), of_side and fine(of_side), replace(light, crossed=None).rig
     findings: tuple[Finding, ...] = ()
-    if not has_colour(white):
+    if not white.has_colour:
         findings = (Finding("grey-photographs", GREY),)
     elif wanted and not readable:
         findings = (Finding("no-network", NO_NETWORK),)
@@ -137,7 +141,7 @@ def working_images(
         grid=finer_grid(grid) if finer else grid,
         bands=tuple(map(fine, images)),
         crossed=crossed and fine(crossed),
-        parallel=images[0].rig if crossed is None else capture.rig.select(white.leds),
+        parallel=replace(white, crossed=None).rig,
         side=side,
         networks=shipped_networks(settings) if readable else None,
         binning=binning,
@@ -148,22 +152,24 @@ def working_images(
     )
 
 
-def _crossed(
-    capture: Capture, band: Band, both: BandImages, window: Window, binning: float
-) -> BandImages | None:
+def _crossed(light: Light, both: BandImages) -> BandImages | None:
     """The crossed series beside the mean of `both`, where there is one, without the specular light
     that films leak."""
-    if band.crossed is None:
+    if light.crossed is None:
         return None
-    light = linear_channels(band.crossed, capture.encoding, _names(band), window, binning)
-    for k, film_contrast in enumerate(contrast(capture, band).astype(np.float32)):
-        light[:, k] -= (1 / film_contrast - 1) * (both.stack[:, k] - light[:, k])
-    return BandImages(both.channels, light, capture.rig.select(band.crossed.lights))
+    stack = light.crossed.stack
+    for k, film_contrast in enumerate(contrast(light.built.films, light).astype(np.float32)):
+        stack[:, k] -= (1 / film_contrast - 1) * (both.stack[:, k] - stack[:, k])
+    return BandImages(both.channels, stack, light.crossed.rig)
+
+
+WORKING_PITCH_MM = 0.0264
+"""Pitch of the fine grid. The skin's blur leaves less than 2 % of any finer detail, and the
+networks were trained near it."""
 
 
 def skin_images(
-    capture: Capture,
-    bands: tuple[Band, ...],
+    bands: tuple[Light, ...],
     window: Window,
     inside: BoolArray,
     pitch_mm: float = WORKING_PITCH_MM,
@@ -171,22 +177,13 @@ def skin_images(
     """Grid of about `pitch_mm`, linear images on it, and how many pixels a side make one of its
     blocks. Parameters as for :func:`working_images`.
     """
-    white, *others = bands
-    binning = max(1.0, round(8 * pitch_mm / capture.rig.camera.pitch_mm) / 8)
-    names = _names(white)
-    light = linear_channels(white, capture.encoding, names, window, binning)
-    images = [
-        BandImages(names if len(names) > 1 else ("green",), light, capture.rig.select(white.lights))
-    ]
-    for nir in others:
-        grey = linear_channels(nir, capture.encoding, ("grey",), window, binning)
-        images.append(BandImages(("nir",), grey, capture.rig.select(nir.leds)))
-    return _grid(capture, window, inside, binning), tuple(images), binning
-
-
-def _names(band: Band) -> tuple[str, ...]:
-    """Channels of the white band."""
-    return ("red", "green", "blue") if has_colour(band) else ("grey",)
+    camera = bands[0].built.camera
+    binning = max(1.0, round(8 * pitch_mm / camera.pitch_mm) / 8)
+    white, *others = (light.at(binning, window) for light in bands)
+    channels = white.channels if white.has_colour else ("green",)
+    images = [BandImages(channels, white.stack, white.rig)]
+    images += [BandImages(("nir",), nir.grey[None], nir.rig) for nir in others]
+    return _grid(camera, window, inside, binning), tuple(images), binning
 
 
 def shipped_networks(settings: MetricSettings) -> Networks | None:
@@ -196,14 +193,14 @@ def shipped_networks(settings: MetricSettings) -> Networks | None:
 
     def runner(name: str) -> Callable[[FloatArray], FloatArray]:
         network = load_network(name)
-        return lambda fields: run_network(network, fields[None], tile=NETWORK_TILE_PX)[0]
+        return lambda fields: run_network(network, fields[None], tile=704)[0]
 
     return Networks(
         runner(settings.network), runner(settings.shape_network) if settings.shape_network else None
     )
 
 
-def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> Grid:
+def _grid(camera: Camera, window: Window, mask: BoolArray, binning: float) -> Grid:
     """The working grid: blocks of pixels that all belong to the finger."""
     rows, columns = window
     height, width = (int(n // binning) for n in mask.shape)
@@ -213,14 +210,12 @@ def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> 
     inside: BoolArray = covered > 0.999
     cut = (
         rows.start == 0 and bool(inside[0].any()),
-        rows.stop >= capture.shape[0] and bool(inside[-1].any()),
+        rows.stop >= camera.image_size[0] and bool(inside[-1].any()),
         columns.start == 0 and bool(inside[:, 0].any()),
-        columns.stop >= capture.shape[1] and bool(inside[:, -1].any()),
+        columns.stop >= camera.image_size[1] and bool(inside[:, -1].any()),
     )
-    view = view_of(capture.rig.camera, rows, columns, binning=binning, along_rays=True)
-    return Grid(
-        inside, view.x_mm, view.y_mm, capture.rig.camera.pitch_mm * binning, cut, view.apex_mm
-    )
+    view = view_of(camera, rows, columns, binning=binning, along_rays=True)
+    return Grid(inside, view.x_mm, view.y_mm, camera.pitch_mm * binning, cut, view.apex_mm)
 
 
 # Images of a coarse camera on a grid twice as fine.

@@ -7,12 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 
-from splitknit.imaging.band import bin_mean
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.pixels import bin_mean
 from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.networks.augmentation import (
     QUARTER_TURNS,
@@ -20,25 +19,11 @@ from splitknit.networks.augmentation import (
     mean_over_orientations,
     shrinkage_gain,
 )
-from splitknit.photometric.equations import shading
+from splitknit.photometric.equations import length, shading
 from splitknit.photometric.near_light import pseudo_normals
-from splitknit.skin.diffusion import Diffusion
+from splitknit.skin.diffusion import CHANNELS, Diffusion
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import Lighting, lighting, predict, reached_by_all, slant_of, trust_of
-from splitknit.skin.parameters import (
-    GAIN_UNCERTAINTY,
-    HIDDEN_RIDGES_UM,
-    LEVEL_MM,
-    MAX_UNEVEN,
-    MIN_LIGHTS,
-    NETWORK_PITCH_MM,
-    OWN_ERROR,
-    RED_SHADING,
-    RIDGE_BAND_MM,
-    RIDGE_SLOPES_MM,
-    SLANT_DEG,
-    SLANT_ERROR,
-)
 from splitknit.skin.relief import ReliefEstimate
 from splitknit.skin.shape import (
     CoarseImages,
@@ -66,6 +51,14 @@ class Features:
 
     fields: FloatArray  # (32, h, w), zero outside the mask
     level: FloatArray  # (C, h, w) local brightness of each channel, specular reflection included
+
+
+RIDGE_BAND_MM = 0.3
+"""Standard deviation of the Gaussian mean that the relief is free of; the networks were trained
+with it. Chosen on: judgement. Range: 0.21 to 0.6 (validation/parameters)."""
+_LEVEL_MM = 0.6
+"""Standard deviation of the Gaussian mean that brightness is relative to; the networks were trained
+with it. Chosen on: judgement. Range: 0.3 to 1.2 (validation/parameters)."""
 
 
 def features(
@@ -105,40 +98,26 @@ def features(
     )
     levels = np.empty((channels, *grid.shape), dtype=np.float32)
 
-    def brightness(chunk: slice) -> None:
-        bright[:, chunk] = shading(
-            np.moveaxis(normals[chunk], -1, 0), np.moveaxis(g[:, chunk], -1, 1)
-        )
-
     def relative(chunk: slice) -> None:
-        columns = np.flatnonzero(grid.mask[chunk].any(axis=0))
-        if not len(columns):
-            return
-        # the rest is not a finger, and left out below
-        part = (chunk, slice(int(columns[0]), int(columns[-1]) + 1))
-        vectors, trust, entering = (
-            light.vectors[:, :, *part],
-            light.trust[:, *part],
-            light.entering[:, *part],
-        )
-        size = np.sqrt((vectors * vectors).sum(axis=1))  # (L, h, w)
+        vectors = light.vectors[:, :, chunk]
+        size = length(np.moveaxis(vectors, 1, 0))
         # of all lights at once: threads wait for each other between operations
         for c in range(channels):
-            level, here = levels[c, *part], np.moveaxis(g[c, *part], -1, 0)
-            bright[c, *part] = np.clip(bright[c, *part] / level - 1, -1, 1)
-            facing = level * normals[*part, 2]
-            for axis, slope in enumerate((slope_x[part], slope_y[part])):
-                slopes[2 * c + axis, *part] = np.clip(
+            level, here = levels[c, chunk], np.moveaxis(g[c, chunk], -1, 0)
+            bright[c, chunk] = np.clip(bright[c, chunk] / level - 1, -1, 1)
+            facing = level * normals[chunk, :, 2]
+            for axis, slope in enumerate((slope_x[chunk], slope_y[chunk])):
+                slopes[2 * c + axis, chunk] = np.clip(
                     -(here[axis] + slope * here[2]) / facing, -2, 2
                 )
-            left = band.stack[c, :, *part] / entering
+            left = band.stack[c, :, chunk] / light.entering[:, chunk]
             left -= shading(here, vectors)  # what a matt surface shows
-            left *= trust
+            left *= light.trust[:, chunk]
             left /= level * size + 1e-9
-            beyond[4 * c : 4 * c + 4, *part] = np.clip(np.tensordot(to_harmonics, left, 1), -1, 1)
+            beyond[4 * c : 4 * c + 4, chunk] = np.clip(np.tensordot(to_harmonics, left, 1), -1, 1)
 
-    for_each_chunk(brightness, *grid.shape, lights)
-    np.maximum(grid.smooth(bright, grid.mask, LEVEL_MM), 1e-6, out=levels)
+    bright[...] = np.einsum("hwk,chwk->chw", normals, g)
+    np.maximum(grid.smooth(bright, grid.mask, _LEVEL_MM), 1e-6, out=levels)
     for_each_chunk(relative, *grid.shape, lights)
     slopes -= grid.smooth(slopes, grid.mask, RIDGE_BAND_MM)
     towards = band.rig.light_vectors()
@@ -168,11 +147,10 @@ def _statistics(slopes: FloatArray, beyond: FloatArray, lit: BoolArray) -> list[
     logarithms of the rms slope in all channels but the last over the last's, and of the rms of what
     no matt surface explains over the rms slope.
     """
-    region = (lit if lit.any() else np.ones_like(lit)).astype(np.uint8)
-    size = cv2.countNonZero(region)
+    region = lit if lit.any() else np.ones_like(lit)
 
     def power(fields: FloatArray) -> float:
-        return float(np.mean([cv2.norm(f, cv2.NORM_L2SQR, region) / size for f in fields])) + 1e-9
+        return float(np.mean([np.square(f[region]).mean(dtype=np.float64) for f in fields])) + 1e-9
 
     channels = len(slopes) // 2
     of_slopes = [power(slopes[2 * c : 2 * c + 2]) for c in range(channels)]
@@ -238,13 +216,22 @@ def relief_network(
     return lambda fields: mean_over_orientations(network, fields, symmetries, orientations, earlier)
 
 
+_MIN_LIGHTS = 6
+"""Fewer lights leave too little beside the slopes to measure specular reflection by, in lights.
+Chosen on: judgement. Range: 3 to 6 (validation/parameters)."""
+_NETWORK_PITCH_MM = (0.017, 0.041)
+"""Smallest and largest pixels that the networks are applied to: about those that they were trained
+on."""
+
+
 def can_learn(band: BandImages, pitch_mm: float) -> bool:
     """Whether the networks can be applied to a band: three colours, enough lights all around, and
     fine pixels."""
-    if len(band.channels) != 3 or band.stack.shape[1] < MIN_LIGHTS:
+    if len(band.channels) != 3 or band.stack.shape[1] < _MIN_LIGHTS:
         return False
-    around = np.linalg.cond(azimuth_waves(band.rig, 2)) < MAX_UNEVEN
-    return bool(around) and NETWORK_PITCH_MM[0] <= pitch_mm <= NETWORK_PITCH_MM[1]
+    # condition of the harmonics up to the second at the lights' azimuths; one for a regular ring
+    around = np.linalg.cond(azimuth_waves(band.rig, 2)) < 10.0
+    return bool(around) and _NETWORK_PITCH_MM[0] <= pitch_mm <= _NETWORK_PITCH_MM[1]
 
 
 def relief_by_network(
@@ -256,6 +243,17 @@ def relief_by_network(
     turned in place.
     """
     return relief_of_output(network(light.fields), light.level[:2] * grid.mask, grid, smooth_mm)
+
+
+SLANT_DEG = (0, 15, 30, 45, 60, 70)
+"""Slants at which `SLANT_ERROR` is given. Chosen on: simulated fingers (ten, and two path-traced
+ones, validation/path_traced)."""
+SLANT_ERROR = (0.74, 0.84, 1.1, 1.12, 1.02, 2.3)
+"""Error of the relief over what the network states, by slant; it is smallest where the skin faces
+lights and camera. The simulated fingers have 0.7 to 0.9 up to 60 degrees and 2.3 beyond, the
+path-traced ones 0.6 to 0.8 below 15 degrees and 0.8 to 1.5 above. Chosen on: simulated fingers
+(ten, and two path-traced ones, validation/path_traced). Range: none within 0.7 to 1.4
+(validation/parameters)."""
 
 
 def relief_of_output(
@@ -300,6 +298,19 @@ def variance_restored(estimate: ReliefEstimate) -> ReliefEstimate:
     return replace(estimate, relief_mm=estimate.relief_mm * gain, facts=facts)
 
 
+GAIN_UNCERTAINTY = 0.175
+"""Standard deviation of the common factor of all heights where shading shows the ridges. Chosen on:
+path-traced fingers (three of validation/path_traced/make.py, eight of its ``--drawn 8 --seed 1``)
+and four simulated ones."""
+RED_SHADING = (0.15, 0.4)
+"""Shading by ridges in red over that in blue, where it says nothing of the ridges' height, and
+where all. Refracted light gave -0.1 to 0.2, diffused light 0.25 to 0.35, the simulator 0.37 to
+0.48; skin that scatters little gives less. Chosen on: the same fingers."""
+HIDDEN_RIDGES_UM = 15.0
+"""Standard deviation of the ridges that shading does not show, in um, rms. Chosen on: the same
+fingers."""
+
+
 def with_gain_uncertainty(
     estimate: ReliefEstimate, slopes: FloatArray, grid: Grid
 ) -> ReliefEstimate:
@@ -318,6 +329,11 @@ def with_gain_uncertainty(
     hidden *= min(HIDDEN_RIDGES_UM / max(estimate.facts["relief_rms_um"], 1e-6), 1.0)
     facts = {**estimate.facts, "gain_uncertainty": float(np.hypot(GAIN_UNCERTAINTY, hidden))}
     return replace(estimate, facts=facts)
+
+
+OWN_ERROR = (0.8, 0.8, 0.8, 0.8, 0.8, 1.0)
+"""Deviation of the relief without that of its gain, over the one with it, by slant (`SLANT_DEG`).
+Chosen on: the fingers of `GAIN_UNCERTAINTY`."""
 
 
 def stated_deviation(
@@ -355,6 +371,11 @@ def refined_shape(
     return replace(shape, height_mm=shape.height_mm + added)
 
 
+_RIDGE_SLOPES_MM = 0.6
+"""Standard deviation of the Gaussian mean of the ridges' slopes; the shape network was trained with
+it. Chosen on: judgement. Range: 0.3 to 1.2 (validation/parameters)."""
+
+
 def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> FloatArray:
     """(3, h, w) on the coarse grid: cosine and sine of twice the azimuth across the ridges, times
     the rms slope of the relief (H, W) around, less where unclear; and that slope.
@@ -363,7 +384,7 @@ def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> 
     rows, columns = (length * factor for length in low.shape)
     parts = [p[:rows, :columns] for p in (x * x - y * y, 2 * x * y, x * x + y * y)]
     coarse = bin_mean(np.ascontiguousarray(np.nan_to_num(np.stack(parts))), factor)
-    even, odd, power = low.smooth(coarse, low.mask, RIDGE_SLOPES_MM)
+    even, odd, power = low.smooth(coarse, low.mask, _RIDGE_SLOPES_MM)
     slope = np.sqrt(np.maximum(power, 1e-8))
     return np.stack([even / slope, odd / slope, slope]) * low.mask
 
@@ -374,7 +395,6 @@ def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> 
 # and its outline, unresolved ridges, light that is lost at the rim and specular reflection at
 # grazing angles bend the shape.
 
-CHANNELS = ("red", "green", "blue", "nir")
 WITH_WAVES = ("green", "nir")
 """Channels whose second and third harmonics are given."""
 SHAPE_SYMMETRY = Symmetry(
@@ -401,7 +421,7 @@ def _shape_features(
     """
     slope_x, slope_y = slopes_inside(height_mm, grid)
     normals = normals_from_gradients(slope_x, slope_y)
-    fields: dict[str, FloatArray] = {}
+    fields = np.zeros((COUNT, *grid.shape), dtype=np.float32)
     brightness: dict[str, float] = {}
     trusted = np.zeros(grid.shape, dtype=np.float32)
     for band in bands:
@@ -412,7 +432,7 @@ def _shape_features(
             light, grid, normals, [grid.sampled(skin[name]) for name in band.channels]
         )
         waves = _beyond_matt(band.rig)
-        size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
+        size = length(np.moveaxis(light.vectors, 1, 0))
         for c, name in enumerate(band.channels):
             expected = predicted_all[c]
             ratio = band.stack[c][:, reached] / np.maximum(expected[:, reached], 1e-4)
@@ -424,18 +444,15 @@ def _shape_features(
             )
             x, y = residual_slopes(measured, predicted, grid)
             level = np.maximum(predicted[..., 2], 0.05 * brightness[name])
-            fields[f"{name} x"], fields[f"{name} y"] = 4 * x, 4 * y
-            fields[f"{name} level"] = np.log(np.clip(measured[..., 2] / level, 0.2, 5.0))
+            k = CHANNELS.index(name)
+            fields[2 * k], fields[2 * k + 1] = 4 * x, 4 * y
+            fields[8 + k] = np.log(np.clip(measured[..., 2] / level, 0.2, 5.0))
             if name in WITH_WAVES:
                 matt = shading(np.moveaxis(measured, -1, 0), light.vectors)
                 left = (band.stack[c] - matt) * light.trust / (level * size + 1e-9)
-                for n, wave in enumerate(np.clip(np.tensordot(waves, left, 1), -0.5, 0.5)):
-                    fields[f"{name} {n}"] = 10 * wave
-    nothing = np.zeros(grid.shape, dtype=np.float32)
-    names = [f"{name} {axis}" for name in CHANNELS for axis in "xy"] + [
-        f"{name} level" for name in CHANNELS
-    ]
-    names += [f"{name} {n}" for name in WITH_WAVES for n in range(4)]
+                first = 12 + 4 * WITH_WAVES.index(name)
+                harmonics = np.clip(np.tensordot(waves, left, 1), -0.5, 0.5)
+                fields[first : first + 4] = 10 * harmonics
     reference = max(brightness.get("red", next(iter(brightness.values()))), 1e-9)
     tints = [
         np.log(max(brightness.get(name, reference), 1e-9) / reference) / 2 for name in CHANNELS[1:]
@@ -446,9 +463,10 @@ def _shape_features(
         np.minimum(grid.depth_mm, 3) / 2,
         trusted,
         *ridges,
-        *(nothing + np.float32(t) for t in tints),
-        nothing + np.float32("nir" in brightness),
-        nothing + (grid.pitch_mm / 0.106 - 1),
+        *tints,
+        "nir" in brightness,
+        grid.pitch_mm / 0.106 - 1,
     ]
-    stacked = np.stack([*(fields.get(name, nothing) for name in names), *known]).astype(np.float32)
-    return np.nan_to_num(stacked) * grid.mask
+    for field, values in zip(fields[20:], known, strict=True):
+        field[...] = values
+    return np.nan_to_num(fields) * grid.mask

@@ -11,25 +11,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 
-from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import enlarged, height_gradients, normals_from_gradients
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.photometric.equations import shading
 from splitknit.skin.grid import Grid, smooth_step
-from splitknit.skin.parameters import REFRACTIVE_INDEX, ROUGHNESSES
 
 
-def fresnel_transmission(cosine: Any, index: float = REFRACTIVE_INDEX) -> FloatArray:
+def fresnel_transmission(cosine: Any, index: float = 1.42) -> FloatArray:
     """Unpolarised light that enters a dielectric, relative to normal incidence, by the cosine (Born
-    and Wolf 1.5)."""
+    and Wolf 1.5); 1.42 is about the stratum corneum's index."""
     normal = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
     return ((1.0 - fresnel_reflectance(cosine, index)) / normal).astype(np.float32)
 
 
-def fresnel_reflectance(cosine: Any, index: float = REFRACTIVE_INDEX) -> FloatArray:
+def fresnel_reflectance(cosine: Any, index: float = 1.42) -> FloatArray:
     """Part of unpolarised light that a dielectric reflects at an angle with this cosine (Born and
     Wolf, 1.5)."""
     c = np.clip(np.asarray(cosine, dtype=np.float32), 1e-3, 1.0)
@@ -83,6 +81,11 @@ class GlareFit:
     explained: float  # part of the squared residual that it explains
 
 
+_ROUGHNESSES = (0.12, 0.16, 0.20, 0.25, 0.30, 0.36, 0.42)
+"""Roughnesses (GGX alpha) of the specular reflection that are tried. Chosen on: judgement. Range: 1
+to 1.4 times these values (validation/parameters)."""
+
+
 def fit_glare(
     stack: FloatArray, lights: FloatArray, model: Callable[[float], FloatArray]
 ) -> GlareFit:
@@ -94,7 +97,7 @@ def fit_glare(
     span.
     """
     if stack.shape[0] < 4 or stack.shape[1] == 0:
-        return GlareFit(ROUGHNESSES[0], 0.0, 0.0)
+        return GlareFit(_ROUGHNESSES[0], 0.0, 0.0)
     matt = np.linalg.qr(np.moveaxis(lights, -1, 0))[0]  # (n, L, 3), orthonormal
 
     def beyond(images: FloatArray) -> FloatArray:
@@ -108,9 +111,9 @@ def fit_glare(
 def best_lobe(left: FloatArray, lobe_of: Callable[[float], FloatArray]) -> GlareFit:
     """The lobe that explains most of what is `left` (L, n): roughness by search, strength by least
     squares."""
-    best = GlareFit(ROUGHNESSES[0], 0.0, 0.0)
+    best = GlareFit(_ROUGHNESSES[0], 0.0, 0.0)
     total = float((left * left).sum(dtype=np.float64))
-    for roughness in ROUGHNESSES:
+    for roughness in _ROUGHNESSES:
         lobe = lobe_of(roughness)
         power = float((lobe * lobe).sum(dtype=np.float64))
         product = max(float((lobe * left).sum(dtype=np.float64)), 0.0)
@@ -165,11 +168,8 @@ def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid:
 
     def enlarge(fields: FloatArray) -> FloatArray:
         large = np.empty((*fields.shape[:-2], *grid.shape), dtype=np.float32)
-        rows, columns = (n * factor for n in low.shape)
-        border = 0, grid.shape[0] - rows, 0, grid.shape[1] - columns
         for place in np.ndindex(fields.shape[:-2]):
-            field = cv2.resize(fields[place], (columns, rows), interpolation=cv2.INTER_LINEAR)
-            cv2.copyMakeBorder(field, *border, cv2.BORDER_REPLICATE, dst=large[place])
+            large[place] = enlarged(fields[place], factor, grid.shape)
         return large
 
     fine_trust, entering = enlarge(trust), enlarge(light.entering)

@@ -34,67 +34,12 @@ from numpy.typing import NDArray
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.light_field import light_vectors_at, lights_in_front
+from splitknit.imaging.robust import deviation
+from splitknit.integration.conjugate_gradients import conjugate_gradients
 from splitknit.model import Array, BoolArray, FloatArray, Rig
 from splitknit.photometric.equations import shading
 from splitknit.skin.grid import BandImages, Grid, Slopes
-from splitknit.skin.light import fresnel_reflectance, slant_of
-from splitknit.skin.parameters import (
-    AVERAGED_MM,
-    BEND_ERROR,
-    EDGE_PX,
-    ERROR_CORRELATION,
-    ERROR_FACTOR,
-    FACET_FIELDS,
-    FILM_ERROR,
-    FILM_ERROR_DEG,
-    FILMS_MODEL_ERROR,
-    FILMS_RIDGE_MM,
-    FILMS_STEPS,
-    FIRST_ERROR,
-    FIRST_MISFIT,
-    GAIN_ERROR,
-    GAINS,
-    GLINTS,
-    GRAZING,
-    HIGHEST,
-    LATE_MISFIT,
-    LIGHT_ROWS,
-    LIT_FRONT,
-    LIT_SIDE,
-    LOCAL_RHO,
-    LOWEST,
-    MAX_CHANGE,
-    MAX_GAIN_ERROR,
-    MAX_SLOPE_STEP,
-    NOISE_ERROR_MM,
-    PENUMBRA,
-    PRIOR_FACTOR_FRONT,
-    PRIOR_FACTOR_SIDE,
-    PRIOR_GAIN,
-    PRIOR_WEIGHTS,
-    RAISED_MM,
-    SCATTERED_ERROR,
-    SEEN_FRONT,
-    SEEN_SIDE,
-    SHADOW_PX,
-    SHADOW_STEPS,
-    SIDE_ERROR,
-    SIDE_ERROR_FILMS,
-    SIDE_GAIN_ERROR,
-    SIDE_GAIN_ERROR_FILMS,
-    SLOW_MM,
-    SLOW_SLOPE,
-    SOLVER_STEPS,
-    START_BLUR_PX,
-    START_ERROR,
-    START_PATH_PX,
-    START_ROUGHNESS,
-    STATED_DEG,
-    STEEP,
-    STRIPES,
-    TYPICAL_CHI_SQUARE,
-    TYPICAL_RIDGES_PER_MM,
-)
+from splitknit.skin.light import fresnel_reflectance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,11 +71,46 @@ def specular_images(
             vectors = grid.view.turned(light_vectors_at(lights, *grid.view.points(surface_mm)))
             matt.append(np.maximum(shading(np.moveaxis(normals, -1, 0), vectors), 0.05))
         stack -= (matt[0] / matt[1] - 1) * crossed.stack.mean(axis=0)
-    laplacian = 4 * stack[:, 1:-1, 1:-1] - stack[:, :-2, 1:-1] - stack[:, 2:, 1:-1]
-    laplacian -= stack[:, 1:-1, :-2] + stack[:, 1:-1, 2:]
-    lit = crossed.stack[0, :, 1:-1, 1:-1] > 0
-    noise = np.median(np.abs(laplacian[lit])) / 0.6745 / np.sqrt(20) if lit.any() else 0.0
-    return SpecularImages(stack, max(float(noise), 1e-6), rig)
+    lit = crossed.stack[0] > 0
+    changes = _laplacian(stack, slice(0, len(stack[0])))[lit]
+    noise = deviation(changes) / np.sqrt(20) if changes.size else 0.0
+    return SpecularImages(stack, max(noise, 1e-6), rig)
+
+
+@dataclass(frozen=True, slots=True)
+class FitThresholds:
+    """What a fit takes for granted."""
+
+    prior_factor: float
+    """Factor on the stated deviation of the start's relief, whose error is one of gain too."""
+    first_error: float
+    """Error of the prediction in the first step, over the image."""
+    lit: tuple[float, float]
+    """Cosine of incidence from which a facet is used, and how much more gives it all its weight."""
+    seen: tuple[float, float]
+    """The same of the cosine to the camera."""
+    grazing: float
+    """Square of the cosine of incidence at which half the light enters that is scattered once.
+    Fresnel's transmittance and the longer path below the skin would give 0.01 on a smooth surface,
+    but such light also comes from beside the facet."""
+
+
+_FRONT = FitThresholds(5.0, 0.03, (0.1, 0.3), (0.3, 0.2), 0.0)
+_SIDE = FitThresholds(20.0, 0.8, (0.05, 0.2), (0.1, 0.2), 0.004)
+"""With lights to the side, which show the flanks; facets far from their slope are no outliers."""
+_RIDGES_PER_MM = 14.0
+"""Typical angular frequency of ridges, rad/mm."""
+_MODEL_ERROR = 0.03
+"""Error of the prediction, as a fraction of the image."""
+_STEPS = 10
+"""Gauss-Newton steps. Chosen on: speed."""
+_RAISED_MM = 1.0
+"""Step of the derivative by the finger's lift."""
+_MISFIT = (0.8, 0.5)
+"""Residual of a light to the side, over its image (rms), from which it waits, in the first and in
+the second half of the steps: glints of oily skin fit later. Those of a path-traced finger leave
+0.36 at first and 0.09 at last; lights whose films are turned, so that what they reflect does not
+pass the camera's, leave 0.82 to 13. Chosen on: path-traced fingers."""
 
 
 def polarised_heights(
@@ -145,43 +125,36 @@ def polarised_heights(
 
     `deviation_mm`: (h, w) stated standard deviation of its ridges' heights. Returns heights (h, w)
     along the line of sight, finite everywhere, the standard deviation (h, w) of their ridges, and
-    figures of the fit. Both are the means of what films show and of the start, weighted by their
-    variances. `films`: whether films separated the images.
+    figures of the fit. `films`: whether films separated the images.
     """
-    mask = grid.mask & (grid.depth_mm > EDGE_PX * grid.pitch_mm)
+    mask = grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
     side = np.flatnonzero(~lights_in_front(images.rig))
+    limits = _SIDE if side.size else _FRONT
     gains = np.ones((2, len(images.stack)), dtype=np.float32)
-    model = SpecularModel(0.0, START_ROUGHNESS, START_PATH_PX, START_BLUR_PX)
-    lights = _Lights.of(images.rig, grid, start_mm, gains)
+    model = SpecularModel(strength=0.0, roughness=0.25, path_px=2.0, blur_px=0.8)
+    lights = _light_fields(images.rig, grid, start_mm, gains)
     nodes = start_nodes = _shifted(start_mm, 0.5, 1)
     start_slopes = _slopes(start_nodes, grid.pitch_mm)
-    gentle = mask & (start_slopes[0] ** 2 + start_slopes[1] ** 2 < STEEP**2)
-    factor = PRIOR_FACTOR_SIDE if side.size else PRIOR_FACTOR_FRONT
-    slope_deviation = factor * TYPICAL_RIDGES_PER_MM * np.maximum(deviation_mm, 1e-3)
+    gentle = mask & (np.hypot(*start_slopes) < 1)  # the model is fitted there
+    slope_deviation = limits.prior_factor * _RIDGES_PER_MM * np.maximum(deviation_mm, 1e-3)
     prior = (1 / np.minimum(slope_deviation, 1.0) ** 2).astype(np.float32)
-    first_error = FIRST_ERROR if side.size else FILMS_MODEL_ERROR
     visible = np.ones(images.stack.shape, dtype=np.float32)
     visible[side] = 0  # the brightness of lights to the side is fitted first
-    weight = _inverse_variance(images, mask, slice(None), first_error) * visible
+    weight = _inverse_variance(images, mask, slice(None), limits.first_error) * visible
     fitting = side[:0]
-    for step in range(FILMS_STEPS):
+    for step in range(_STEPS):
         raised = None
         if fitting.size:  # then the lights' brightness and the finger's height are fitted
             level = model.lift_mm
-            lights = _Lights.of(images.rig, grid, start_mm + level, gains)
-            raised = _Lights.of(images.rig, grid, start_mm + (level + RAISED_MM), gains)
+            lights = _light_fields(images.rig, grid, start_mm + level, gains)
+            raised = _light_fields(images.rig, grid, start_mm + (level + _RAISED_MM), gains)
         for k in fitting.tolist():
-            if step % SHADOW_STEPS == 1 or not visible[k].any():
-                visible[k] = lights.visibility(k, _shifted(nodes, -0.5, -1), grid)
+            if step % 4 == 1 or not visible[k].any():
+                visible[k] = _visibility(lights[:3, k], _shifted(nodes, -0.5, -1), grid)
         slopes = _slopes(nodes, grid.pitch_mm)
-        sharp, soft = _predicted(lights, slopes, model, mask)
+        sharp, soft = _predicted(lights, slopes, model, mask, limits.grazing)
         strength, rho, rho_mean = _strengths(
-            images.stack,
-            weight,
-            (sharp, soft),
-            grid,
-            mask,
-            strength=model.strength,
+            images.stack, weight, (sharp, soft), grid, mask, strength=model.strength
         )
         fit = SpecularFit(
             images=images,
@@ -197,7 +170,8 @@ def polarised_heights(
             soft=soft,
             rho=rho,
             rho_mean=rho_mean,
-            error=max(FILMS_MODEL_ERROR, first_error * ERROR_FACTOR**step),
+            limits=limits,
+            error=max(_MODEL_ERROR, limits.first_error * 0.66**step),
             visible=visible,
             side=side,
             fitting=fitting,
@@ -209,32 +183,33 @@ def polarised_heights(
         of_model, brightness = np.split(fraction * change, [change.size - 2 * fitting.size])
         model = fit.model.changed(of_model)
         gains[:, fitting] *= np.exp(brightness).reshape(2, -1)
-        fitting = _fitting_lights(
-            fit, gains, FIRST_MISFIT if step <= FILMS_STEPS // 2 else LATE_MISFIT
-        )
+        fitting = _fitting_lights(fit, gains, _MISFIT[step > _STEPS // 2])
     information[0::2] -= prior
     specular = np.maximum(fit.specular(), 1e-9)
-    scattered = fit.scattered()
-    residual = (images.stack - specular - scattered)[:, mask]
-    ratio = float(scattered[:, mask].mean() / specular[:, mask].mean())
-    height_mm, error_mm = _joined(
-        _shifted(nodes, -0.5, -1),
-        start_mm,
-        deviation_mm,
-        grid,
-        information=grid.smooth(information, mask, AVERAGED_MM),
-        model=model,
-        ratio=ratio,
-        chi_square=local_chi_square(fit) if fitting.size else None,
-        films=films,
-    )
+    residual = fit.residual()[:, mask]
+    height_mm = _shifted(nodes, -0.5, -1)
+    ridges_mm = height_mm - grid.smooth(start_mm, grid.mask, _RIDGE_MM)
+    ridges_mm -= grid.smooth(ridges_mm, grid.mask, _RIDGE_MM)
+    error_mm = _ridge_deviation(fit, ridges_mm, grid.smooth(information, mask, 0.1), films)
+    if not films:  # then the start's ridges are about as well known
+        fraction = error_mm**2 / (error_mm**2 + np.maximum(deviation_mm, 1e-4) ** 2)
+        start_ridges = start_mm - grid.smooth(start_mm, grid.mask, _RIDGE_MM)
+        start_ridges -= grid.smooth(start_ridges, grid.mask, _RIDGE_MM)
+        height_mm = height_mm + fraction * (start_ridges - ridges_mm)
     return height_mm, error_mm, {
         "side_lights": float(visible[side].any(axis=(1, 2)).sum()),
         "roughness": model.roughness,
-        "scattered_over_specular": ratio,
+        "scattered_over_specular": float(
+            fit.scattered()[:, mask].mean() / specular[:, mask].mean()
+        ),
         "specular_over_noise": float(np.median(specular.max(axis=0)[mask]) / images.noise),
         "residual_over_noise": float(np.sqrt(np.median(residual**2) / 0.455) / images.noise),
     }  # fmt: skip
+
+
+_LOWEST = (1e-9, 0.06, 0.3, 0.3, -8.0)
+_HIGHEST = (1e9, 0.8, 8.0, 1.5, 8.0)
+"""Bounds of the fields of `SpecularModel`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +232,7 @@ class SpecularModel:
         values = np.array(astuple(self))
         values[:4] *= np.exp(change[:4])
         values[4] += change[4:].sum()
-        return SpecularModel(*np.clip(values, LOWEST, HIGHEST).tolist())
+        return SpecularModel(*np.clip(values, _LOWEST, _HIGHEST).tolist())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,9 +242,10 @@ class SpecularFit:
     images: SpecularImages
     grid: Grid
     mask: BoolArray
-    lights: _Lights
-    raised: _Lights | None
-    """On a finger that lies `RAISED_MM` higher, where lights to the side show its height."""
+    lights: FloatArray
+    """(8, L, n, w), see :func:`_light_fields`."""
+    raised: FloatArray | None
+    """On a finger that lies `_RAISED_MM` higher, where lights to the side show its height."""
     model: SpecularModel
     slopes: Slopes
     slopes_from_start: Slopes
@@ -283,6 +259,7 @@ class SpecularFit:
     """(h, w) strength of the scattered part."""
     rho_mean: FloatArray
     """(h, w) its local mean."""
+    limits: FitThresholds
     error: float
     """Of the prediction, over the image."""
     visible: FloatArray
@@ -300,156 +277,126 @@ class SpecularFit:
         """(L, rows, w) scattered part of the prediction."""
         return self.rho[rows] * self.soft[:, rows]
 
+    def residual(self, rows: slice = slice(None)) -> FloatArray:
+        """(L, rows, w) images less the prediction."""
+        return self.images.stack[:, rows] - self.specular(rows) - self.scattered(rows)
+
+
+_SCATTERED_ERROR = 0.1
+"""Error of the prediction's scattered part, as a fraction of that part."""
+_RIDGE_MM = 0.3
+"""Sigma of the Gaussian mean that separates ridges from shape."""
+
 
 def local_chi_square(fit: SpecularFit) -> FloatArray:
-    """Reduced chi-square of the residual over all lights, a mean over `FILMS_RIDGE_MM`, (h, w)."""
-    scattered = fit.scattered()
-    images = fit.images.stack
-    residual = images - fit.specular() - scattered
-    variance = fit.images.noise**2 + (FILMS_MODEL_ERROR * images) ** 2
-    variance += (SCATTERED_ERROR * scattered) ** 2
-    chi_square = (fit.visible * residual**2 / variance).mean(axis=0)
-    return fit.grid.smooth(chi_square, fit.mask, FILMS_RIDGE_MM)
+    """Reduced chi-square of the residual over all lights, a mean over `_RIDGE_MM`, (h, w)."""
+    variance = fit.images.noise**2 + (_MODEL_ERROR * fit.images.stack) ** 2
+    variance += (_SCATTERED_ERROR * fit.scattered()) ** 2
+    chi_square = (fit.visible * fit.residual() ** 2 / variance).mean(axis=0)
+    return fit.grid.smooth(chi_square, fit.mask, _RIDGE_MM)
 
 
-def _joined(
-    height_mm: FloatArray,
-    start_mm: FloatArray,
-    deviation_mm: FloatArray,
-    grid: Grid,
-    *,
-    information: FloatArray,
-    model: SpecularModel,
-    ratio: float,
-    chi_square: FloatArray | None,
-    films: bool,
-) -> tuple[FloatArray, FloatArray]:
-    """Heights and their standard deviation, from those of films and those of the start.
+_STEEP_MM = (0.026, 0.0145)
+"""Error of the model over the mean square of the ridges' slopes, under front lights alone and with
+lights to the side. Chosen on: simulated fingers (a, c, g, i and j of
+validation/path_traced/drawn_films.py)."""
+_SEPARATED_BY_COLOUR = 0.1
+"""Error of the heights over the ridges' where colours separate the images, not films. Chosen on:
+path-traced fingers."""
 
-    `information`: (3, h, w) inverse covariance of a slope (xx, xy, yy); `ratio`: of scattered over
-    specular light; `chi_square`: (h, w) local one, with lights to the side.
+
+def _ridge_deviation(
+    fit: SpecularFit, ridges_mm: FloatArray, information: FloatArray, films: bool
+) -> FloatArray:
+    """Standard deviation (h, w) of the ridges' heights (h, w): by the covariance of the slopes,
+    which counts over 0.04 mm, and an error of the model that grows with the square of the ridges'
+    slopes, as their blur and the glints between them do; more where the residual is large.
+
+    `information`: (3, h, w) inverse covariance of a slope (xx, xy, yy).
     """
-    shape = grid.smooth(start_mm, grid.mask, FILMS_RIDGE_MM)
-    slant = slant_of(shape, grid.pitch_mm)
-    facing = np.cos(np.deg2rad(slant))
-    flat = grid.mask & (facing >= np.quantile(facing[grid.mask], 0.5))
-    ridges = _high_pass(height_mm - shape, grid)
-    slope_x, slope_y = height_gradients(ridges, grid.pitch_mm)
-    slope_square = slope_x * slope_x + slope_y * slope_y
-    # heights of films and of the start, weighed by variances and covariance
+    x, y = height_gradients(ridges_mm, fit.grid.pitch_mm)
+    steep = fit.grid.smooth(x * x + y * y, fit.grid.mask, _RIDGE_MM)
     xx, xy, yy = information
-    determinant = np.maximum(xx * yy - xy * xy, 1e-3)
-    noise = NOISE_ERROR_MM**2 * (xx + yy) / (2 * determinant * np.maximum(facing, 0.2) ** 4)
-    relief_mm = np.sqrt((ridges[flat] ** 2).mean(dtype=np.float64))
-    of_films = (np.interp(slant, FILM_ERROR_DEG, FILM_ERROR) * relief_mm) ** 2 + noise
-    of_start = np.maximum(START_ERROR * deviation_mm, 1e-4) ** 2
-    common = np.float32(ERROR_CORRELATION) * np.sqrt(of_films * of_start)
-    part = np.clip((of_films - common) / (of_films + of_start - 2 * common), 0, 1)
-    joined_mm = height_mm + part * _high_pass(start_mm - height_mm, grid)
-    # the error as it is stated
-    if chi_square is None:
-        curvature = height_gradients(slope_x, grid.pitch_mm)[0]
-        curvature = curvature + height_gradients(slope_y, grid.pitch_mm)[1]
-        glints = np.sqrt(slope_square[flat].mean(dtype=np.float64)) / (GLINTS * model.roughness)
-        bend = np.interp(slant, STATED_DEG, BEND_ERROR).astype(np.float32) * curvature
-        bend *= np.float32((model.blur_px * grid.pitch_mm) ** 2 * max(glints, 1))
-        gain = min(GAIN_ERROR * ratio**2, MAX_GAIN_ERROR)
-        stated = noise + grid.smooth(bend * bend + (gain * ridges) ** 2, grid.mask, FILMS_RIDGE_MM)
-    else:
-        steep, power = grid.smooth(
-            np.stack([slope_square, ridges * ridges]), grid.mask, FILMS_RIDGE_MM
-        )
-        error = np.interp(slant, STATED_DEG, SIDE_ERROR_FILMS if films else SIDE_ERROR)
-        relative = error.astype(np.float32) ** 2 * steep
-        relative += (SIDE_GAIN_ERROR_FILMS if films else SIDE_GAIN_ERROR) ** 2
-        stated = noise + power * relative * (chi_square / TYPICAL_CHI_SQUARE) ** 0.75
-    common = np.float32(ERROR_CORRELATION) * np.sqrt(stated * of_start)
-    variance = part**2 * of_start + (1 - part) ** 2 * stated + 2 * part * (1 - part) * common
-    return joined_mm.astype(np.float32), np.sqrt(variance).astype(np.float32)
-
-
-def _high_pass(field: FloatArray, grid: Grid) -> FloatArray:
-    return field - grid.smooth(field, grid.mask, FILMS_RIDGE_MM)
+    covariance = (xx + yy) / (2 * np.maximum(xx * yy - xy * xy, 1e-3))
+    model_error_mm = _STEEP_MM[fit.side.size > 0] * steep
+    variance = (0.04**2 * covariance + model_error_mm**2) * local_chi_square(fit) ** 0.3
+    if not films:
+        variance += (_SEPARATED_BY_COLOUR * ridges_mm) ** 2
+    return np.asarray(np.sqrt(variance))
 
 
 # One prediction: both parts of the difference for strengths of one, and their derivatives.
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Lights:
-    """The lights on the start, on every `LIGHT_ROWS`-th row."""
+_LIGHT_ROWS = 8
+"""Rows over which light changes little. Chosen on: speed."""
+_SHADOW_PX = (*range(1, 13), 14, 16, 19, 22, 26, 31, 38, 47, 60, 80, 110, 160)
+"""Distances at which the surface may block the light. Chosen on: speed."""
 
-    fields: FloatArray
-    """(8, L, n, w): unit vector towards the light, irradiance at normal incidence; unit vector
-    halfway to the camera, irradiance times Fresnel's reflectance there."""
-    between: FloatArray
-    """(h, n) weights of the rows."""
-    grazing: float
-    """`GRAZING` with lights to the side, else 0."""
 
-    @classmethod
-    def of(cls, rig: Rig, grid: Grid, surface_mm: FloatArray, gains: FloatArray) -> _Lights:
-        """`gains`: (2, L) brightness in scattered and in specular light."""
-        sampled = slice(None, None, LIGHT_ROWS)
-        points = grid.view.points(surface_mm[sampled], sampled)
-        vectors = np.moveaxis(grid.view.turned(light_vectors_at(rig, *points), sampled), 1, 0)
-        irradiance = np.sqrt((vectors * vectors).sum(axis=0))
-        towards = vectors / np.maximum(irradiance, 1e-12)
-        half = towards + np.array([0, 0, 1], dtype=np.float32)[:, None, None, None]
-        length = np.maximum(np.sqrt((half * half).sum(axis=0)), 1e-6)
-        reflected = irradiance * fresnel_reflectance(length / 2)
-        fields = np.stack([*towards, irradiance, *(half / length), reflected])
-        fields[3::4] *= gains[..., None, None]
-        rows = np.arange(grid.shape[0])
-        last = fields.shape[2] - 1
-        low = np.minimum(rows // LIGHT_ROWS, max(last - 1, 0))
-        between = np.zeros((len(rows), last + 1), dtype=np.float32)
-        between[rows, low] = 1 - (rows / LIGHT_ROWS - low)
-        between[rows, np.minimum(low + 1, last)] += rows / LIGHT_ROWS - low
-        return cls(fields, between, 0.0 if lights_in_front(rig).all() else GRAZING)
+def _light_fields(rig: Rig, grid: Grid, surface_mm: FloatArray, gains: FloatArray) -> FloatArray:
+    """The lights (8, L, n, w) on every `_LIGHT_ROWS`-th row of a surface: unit vector towards the
+    light, irradiance at normal incidence; unit vector halfway to the camera, irradiance times
+    Fresnel's reflectance there. `gains`: (2, L) brightness in scattered and in specular light.
+    """
+    sampled = slice(None, None, _LIGHT_ROWS)
+    points = grid.view.points(surface_mm[sampled], sampled)
+    vectors = np.moveaxis(grid.view.turned(light_vectors_at(rig, *points), sampled), 1, 0)
+    irradiance = np.sqrt((vectors * vectors).sum(axis=0))
+    towards = vectors / np.maximum(irradiance, 1e-12)
+    half = towards + np.array([0, 0, 1], dtype=np.float32)[:, None, None, None]
+    length = np.maximum(np.sqrt((half * half).sum(axis=0)), 1e-6)
+    reflected = irradiance * fresnel_reflectance(length / 2)
+    fields = np.stack([*towards, irradiance, *(half / length), reflected])
+    fields[3::4] *= gains[..., None, None]
+    return fields
 
-    def on(self, rows: slice) -> FloatArray:
-        """(8, L, rows, w)."""
-        first = max(min(rows.start // LIGHT_ROWS, self.between.shape[1] - 2), 0)
-        part = slice(first, (rows.stop - 1) // LIGHT_ROWS + 2)
-        return np.asarray(np.matmul(self.between[rows, part], self.fields[:, :, part]))
 
-    def visibility(self, k: int, surface_mm: FloatArray, grid: Grid) -> FloatArray:
-        """(h, w) in [0, 1]: the part of the surface (h, w) that light `k` reaches."""
-        x, y, z = np.matmul(self.between, self.fields[:3, k])
-        rise = z / np.maximum(np.hypot(x, y), 1e-3) * grid.pitch_mm
-        middle = np.unravel_index(int(np.argmax(grid.depth_mm)), grid.shape)
-        right = float(x[middle])
-        up = float(y[middle])
-        length = np.hypot(right, up)
-        visible = np.ones(grid.shape, dtype=np.float32)
-        for far in SHADOW_PX:
-            shift = (far * (right / length), -far * (up / length))
-            blocking = _warped(surface_mm, shift, 0, cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-            blocking -= surface_mm + far * rise
-            lit = 0.5 - blocking / (2 * PENUMBRA * far * grid.pitch_mm)
-            np.minimum(visible, lit, out=visible)
-        return np.clip(visible, 0, 1, out=visible)
+def _between_rows(fields: FloatArray, rows: slice) -> FloatArray:
+    """(..., rows, w) of fields (..., n, w) on every `_LIGHT_ROWS`-th row."""
+    last = fields.shape[-2] - 1
+    place = np.minimum(np.arange(rows.start, rows.stop) / _LIGHT_ROWS, last)
+    part = slice(int(place[0]), int(place[-1]) + 2)
+    sampled = np.arange(last + 1)[part]
+    between = np.maximum(1 - np.abs(place[:, None] - sampled), 0).astype(np.float32)
+    return np.asarray(np.matmul(between, fields[..., part, :]))
+
+
+def _visibility(towards: FloatArray, surface_mm: FloatArray, grid: Grid) -> FloatArray:
+    """(h, w) in [0, 1]: the part of the surface (h, w) that a light reaches. `towards`: (3, n, w)
+    unit vectors to it on every `_LIGHT_ROWS`-th row."""
+    x, y, z = _between_rows(towards, slice(0, grid.shape[0]))
+    rise = z / np.maximum(np.hypot(x, y), 1e-3) * grid.pitch_mm
+    middle = np.unravel_index(int(np.argmax(grid.depth_mm)), grid.shape)
+    right = float(x[middle])
+    up = float(y[middle])
+    length = np.hypot(right, up)
+    visible = np.ones(grid.shape, dtype=np.float32)
+    for far in _SHADOW_PX:
+        shift = (far * (right / length), -far * (up / length))
+        blocking = _warped(surface_mm, shift, 0, cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+        blocking -= surface_mm + far * rise
+        # shadows are soft over a tangent of 0.1: the LED's size, and the surface's error
+        lit = 0.5 - blocking / (0.1 * far * grid.pitch_mm)
+        np.minimum(visible, lit, out=visible)
+    return np.clip(visible, 0, 1, out=visible)
 
 
 def _predicted(
-    lights: _Lights,
-    slopes: Slopes,
-    model: SpecularModel,
-    mask: BoolArray,
+    lights: FloatArray, slopes: Slopes, model: SpecularModel, mask: BoolArray, grazing: float
 ) -> tuple[FloatArray, FloatArray]:
     """Specular and scattered images (L, h, w) of strengths of one."""
-    sharp = np.empty((lights.fields.shape[1], *mask.shape), dtype=np.float32)
+    sharp = np.empty((lights.shape[1], *mask.shape), dtype=np.float32)
     soft = np.empty_like(sharp)
     inside = mask.astype(np.float32)
 
     def work(rows: slice) -> None:
         there = slopes[0][rows], slopes[1][rows]
-        facets = _facets(lights.on(rows), there, model.roughness, lights.grazing)
+        facets = _facets(_between_rows(lights, rows), there, model.roughness, grazing)
         sharp[:, rows] = facets.specular * inside[rows]
         soft[:, rows] = facets.matt * inside[rows]
 
-    for_each_chunk(work, mask.shape[0], mask.shape[1], FACET_FIELDS * len(sharp))
+    for_each_chunk(work, mask.shape[0], mask.shape[1], 2 * len(sharp))
     _blur(sharp, model.blur_px, inside)
     _blur(soft, float(np.hypot(model.blur_px, model.path_px)), inside)
     return sharp, soft
@@ -528,6 +475,12 @@ def _facets(
 # The brightness of both parts.
 
 
+_SLOW_MM = 0.5
+"""Length over which means of the start's slopes and of rho are known."""
+_LOCAL_RHO = 0.3
+"""Relative standard deviation of rho about its mean over `_SLOW_MM`: valleys are darker."""
+
+
 def _strengths(
     images: FloatArray,
     weight: FloatArray,
@@ -538,35 +491,23 @@ def _strengths(
     strength: float,
 ) -> tuple[float, FloatArray, FloatArray]:
     """Specular strength, by least squares where zero; rho (h, w) and its local mean."""
-    sharp, soft = prediction
-    sums = np.empty((5, *grid.shape), dtype=np.float32)
-
-    def work(rows: slice) -> None:
-        measured = images[:, rows]
-        lobe = sharp[:, rows]
-        weighted_soft = weight[:, rows] * soft[:, rows]
-        weighted_lobe = weight[:, rows] * lobe
-        products = (
-            (weighted_soft, measured),
-            (weighted_soft, lobe),
-            (weighted_soft, soft[:, rows]),
-            (weighted_lobe, lobe),
-            (weighted_lobe, measured),
-        )
+    sums = [np.zeros(grid.shape, dtype=np.float32) for _ in range(5)]
+    for measured, of_light, lobe, matt in zip(images, weight, *prediction, strict=True):
+        soft = of_light * matt
+        sharp = of_light * lobe
+        products = soft * measured, soft * lobe, soft * matt, sharp * lobe, sharp * measured
         for total, product in zip(sums, products, strict=True):
-            np.einsum("lij,lij->ij", *product, out=total[rows])
-
-    for_each_chunk(work, *grid.shape, FACET_FIELDS * len(soft))
+            np.add(total, product, out=total)
     soft_image, soft_lobe, soft_power = sums[:3]
-    mean_image, mean_lobe, mean_power = grid.smooth(sums[:3], mask, SLOW_MM)
-    lobe_power, lobe_image = sums[3:].sum(axis=(1, 2), dtype=np.float64).tolist()
+    mean_image, mean_lobe, mean_power = grid.smooth(np.stack(sums[:3]), mask, _SLOW_MM)
+    lobe_power, lobe_image = (float(total.sum(dtype=np.float64)) for total in sums[3:])
     unknown = strength == 0
     if unknown:
         strength = lobe_image / max(lobe_power, 1e-12)
     for remaining in range(6 if unknown else 0, -1, -1):  # each with the other
         mean = (mean_image - strength * mean_lobe) / np.maximum(mean_power, 1e-9)
         mean = np.maximum(mean, 1e-6)
-        prior = 1 / (LOCAL_RHO * mean) ** 2
+        prior = 1 / (_LOCAL_RHO * mean) ** 2
         rho = (soft_image - strength * soft_lobe + prior * mean) / (soft_power + prior)
         rho = np.where(mask, rho, 0.0)
         if remaining:
@@ -576,14 +517,14 @@ def _strengths(
 
 
 def _inverse_variance(
-    images: SpecularImages,
-    mask: BoolArray,
-    rows: slice,
-    relative_error: float,
+    images: SpecularImages, mask: BoolArray, rows: slice, relative_error: float
 ) -> FloatArray:
     """(L, rows, w) weights of the difference, whose prediction has an error relative to it."""
     error = relative_error * images.stack[:, rows]
     return mask[rows] / (images.noise**2 + error * error)
+
+
+_GAINS = (0.15, 3.0)  # bounds of a light's brightness
 
 
 def _fitting_lights(fit: SpecularFit, gains: FloatArray, misfit: float) -> NDArray[np.intp]:
@@ -604,7 +545,7 @@ def _fitting_lights(fit: SpecularFit, gains: FloatArray, misfit: float) -> NDArr
         accepted.append(k)
         if k not in fit.fitting:
             gains[:, k] *= brightness
-    np.clip(gains, *GAINS, out=gains)
+    np.clip(gains, *_GAINS, out=gains)
     return np.array(accepted, dtype=np.intp)
 
 
@@ -622,11 +563,13 @@ def _brightness(
     residual = measured - parts[0] - parts[1]
     typical = np.median(np.abs(residual[lit]))
     variance = (error * measured) ** 2 + (2 * typical) ** 2 + residual * residual + 1e-12
-    weighted = [1 / variance * part for part in parts]
-    normal = np.array([[(a * b).sum(dtype=np.float64) for b in parts] for a in weighted])
-    right = np.array([(a * measured).sum(dtype=np.float64) for a in weighted])
-    prior = np.diag(PRIOR_GAIN * np.diag(normal)) + 1e-9 * np.eye(2)
-    gains = np.clip(np.linalg.solve(normal + prior, right + prior.sum(axis=1)), *GAINS)
+    design = np.stack(parts).reshape(2, -1).astype(np.float64)
+    weighted = design / variance.ravel()
+    normal = weighted @ design.T
+    right = weighted @ measured.ravel()
+    # a brightness of one is worth a fiftieth of the images
+    prior = np.diag(0.02 * np.diag(normal)) + 1e-9 * np.eye(2)
+    gains = np.clip(np.linalg.solve(normal + prior, right + prior.sum(axis=1)), *_GAINS)
     residual = measured - np.float32(gains[0]) * parts[0] - np.float32(gains[1]) * parts[1]
     return gains if residual[lit].std() <= misfit * measured[lit].std() else None
 
@@ -635,9 +578,7 @@ def _brightness(
 
 
 def _columns(
-    fit: SpecularFit,
-    rows: slice,
-    lift: bool = False,
+    fit: SpecularFit, rows: slice, lift: bool = False
 ) -> tuple[list[FloatArray], FloatArray]:
     """Derivatives of some rows by both slopes and rho, their residual, derivatives by the
     logarithms of strength, roughness, path and blur, and by the `lift`; and weights: (L, rows, w)
@@ -646,19 +587,20 @@ def _columns(
     model = fit.model
     slopes = p, q = fit.slopes[0][rows], fit.slopes[1][rows]
     rho = fit.rho[rows]
-    grazing = fit.lights.grazing
-    facets = _facets(fit.lights.on(rows), slopes, model.roughness, grazing, derivatives=True)
+    grazing = fit.limits.grazing
+    facets = _facets(
+        _between_rows(fit.lights, rows), slopes, model.roughness, grazing, derivatives=True
+    )
     specular = fit.specular(rows)
-    scattered = fit.scattered(rows)
-    residual = fit.images.stack[:, rows] - specular - scattered
+    residual = fit.residual(rows)
     weight = _inverse_variance(fit.images, fit.mask, rows, fit.error)
-    trust = _ramp(facets.cosine, LIT_SIDE if fit.side.size else LIT_FRONT)
+    trust = _ramp(facets.cosine, fit.limits.lit)
     seen = 1 / np.sqrt(1 + p * p + q * q)
-    trust *= _ramp(seen, SEEN_SIDE if fit.side.size else SEEN_FRONT)
+    trust *= _ramp(seen, fit.limits.seen)
     trust *= fit.visible[:, rows]
-    error = SCATTERED_ERROR * scattered
+    error = _SCATTERED_ERROR * fit.scattered(rows)
     trust /= (1 + weight * error * error) * (1 + weight * residual * residual / 9)
-    ridge_px = TYPICAL_RIDGES_PER_MM * fit.grid.pitch_mm
+    ridge_px = _RIDGES_PER_MM * fit.grid.pitch_mm
     damped = rho * np.float32(np.exp(-0.5 * (ridge_px * model.path_px) ** 2))
     by_slope = [
         model.strength * specular_by + damped * matt_by
@@ -674,9 +616,9 @@ def _columns(
         np.float32(model.blur_px**2) * model.strength * _laplacian(fit.sharp, rows),
     ]
     if lift and fit.raised is not None:
-        raised = _facets(fit.raised.on(rows), slopes, model.roughness, grazing)
+        raised = _facets(_between_rows(fit.raised, rows), slopes, model.roughness, grazing)
         by_lift = model.strength * (raised.specular - facets.specular)
-        columns.append((by_lift + rho * (raised.matt - facets.matt)) / RAISED_MM)
+        columns.append((by_lift + rho * (raised.matt - facets.matt)) / _RAISED_MM)
     return columns, weight * trust
 
 
@@ -700,6 +642,13 @@ def _brightness_columns(fit: SpecularFit, rows: slice) -> list[tuple[int, FloatA
     return [(k, part[k]) for part in parts for k in fit.fitting.tolist()]
 
 
+_PRIOR_WEIGHTS = (1e-6, 1e-6, 1.0, 1.0, 0.1)
+"""Weights of the priors on the model's change, relative to the images: of the logarithms of its
+first four fields, and of the lift."""
+_MAX_CHANGE = (0.25, 0.25, 0.25, 0.25, 1.5)
+"""Its largest change in one step; the lift's in mm."""
+
+
 def _model_change(fit: SpecularFit, gentle: BoolArray) -> Array:
     """Change of the logarithms of strength, roughness, path and blur, and, where lights to the side
     show them, of the lift in mm and of these lights' brightness (scattered, then specular), with
@@ -709,19 +658,19 @@ def _model_change(fit: SpecularFit, gentle: BoolArray) -> Array:
 
     def work(rows: slice) -> None:
         height = rows.stop - rows.start
-        if (rows.start // height) % max(1, fit.grid.shape[0] // (STRIPES * height)):
-            return
+        if (rows.start // height) % max(1, fit.grid.shape[0] // (12 * height)):
+            return  # about 12 chunks suffice
         columns, weight = _columns(fit, rows, lift=True)
         gram = _gram(fit, columns, weight, rows, _brightness_columns(fit, rows))
         gram = _eliminated(_eliminated(gram, 0), 1)
         sums[rows.start] = gram[3:, 3:, gentle[rows]].sum(axis=2, dtype=np.float64)
 
-    for_each_chunk(work, *fit.grid.shape, FACET_FIELDS * len(fit.soft))
+    for_each_chunk(work, *fit.grid.shape, 2 * len(fit.soft))
     total = np.sum([sums[start] for start in sorted(sums)], axis=0)
     unknowns = len(total) - 1
     brightness = 2 * fit.fitting.size
-    damping = [*PRIOR_WEIGHTS, *[PRIOR_WEIGHTS[0]] * brightness][:unknowns]
-    largest = np.array([*MAX_CHANGE, *[MAX_CHANGE[0]] * brightness][:unknowns])
+    damping = [*_PRIOR_WEIGHTS, *[_PRIOR_WEIGHTS[0]] * brightness][:unknowns]
+    largest = np.array([*_MAX_CHANGE, *[_MAX_CHANGE[0]] * brightness][:unknowns])
     change = np.linalg.solve(total[1:, 1:] + np.diag(damping), total[1:, 0])
     return np.clip(change, -largest, largest)
 
@@ -751,7 +700,7 @@ def _slope_equations(
         force[:, rows] = gram[:2, 3]
         used[:, rows] = weight
 
-    for_each_chunk(work, *fit.grid.shape, FACET_FIELDS * len(fit.soft))
+    for_each_chunk(work, *fit.grid.shape, 2 * len(fit.soft))
     return information, force
 
 
@@ -783,7 +732,7 @@ def _gram(
         gram[axis, 3] -= slope_prior * off[rows]
         gram[3, axis] = gram[axis, 3]
     mean = fit.rho_mean[rows]
-    rho_prior = 1 / (LOCAL_RHO * mean) ** 2
+    rho_prior = 1 / (_LOCAL_RHO * mean) ** 2
     gram[2, 2] += rho_prior
     gram[2, 3] -= rho_prior * ((fit.rho[rows] - mean) * fit.mask[rows])
     gram[3, 2] = gram[2, 3]
@@ -816,47 +765,32 @@ def _height_change(
         heights = scipy.fft.idctn(spectrum, norm="ortho", workers=2)
         return np.asarray(heights[: start.shape[0], : start.shape[1]], np.float32)
 
-    trace = information[0] + information[2]
     xx, xy, yy = information
+    trace = xx + yy
     xx = xx + 0.02 * trace
     yy = yy + 0.02 * trace
     mean = np.float32(np.median(trace[grid.mask]) / 2)
     of_rows, of_columns = ((2 - 2 * np.cos(np.pi * np.arange(n) / n)) / pitch_mm**2 for n in size)
     laplacian = (of_rows[:, None] + of_columns[None]).astype(np.float32)
-    slow = laplacian * np.exp(-laplacian * SLOW_MM**2) / SLOW_SLOPE**2
-    ground = 1e-6 * mean
-    precondition = 1 / (laplacian * mean + slow + ground)
+    # over `_SLOW_MM`, the start's mean slope is known to 0.2
+    slow = laplacian * np.exp(-laplacian * _SLOW_MM**2) / 0.2**2
+    laplacian[0, 0] = np.inf  # slopes do not show the mean height: it does not change
 
     def applied(spectrum: FloatArray) -> FloatArray:
         x, y = _slopes(inverse(spectrum), pitch_mm)
         pulled = forward(_slopes_adjoint(xx * x + xy * y, xy * x + yy * y, pitch_mm))
-        return np.asarray(pulled + (slow + ground) * spectrum)
+        return np.asarray(pulled + slow * spectrum)
 
     residual = forward(_slopes_adjoint(force[0], force[1], pitch_mm))
     residual -= slow * forward(nodes - start)
-    solution = np.zeros_like(residual)
-    direction = precondition * residual
-    power = first_power = _dot(residual, direction)
-    for _ in range(SOLVER_STEPS):
-        if power <= 1e-6 * first_power:
-            break
-        image = applied(direction)
-        length = power / _dot(direction, image)
-        solution = solution + length * direction
-        residual = residual - length * image
-        preconditioned = precondition * residual
-        previous = power
-        power = _dot(residual, preconditioned)
-        direction = preconditioned + power / previous * direction
+    solution, _ = conjugate_gradients(
+        applied, lambda spectrum: spectrum / (laplacian * mean + slow), residual, most=40
+    )
     added = inverse(solution)
     steepness = np.hypot(*_slopes(added, pitch_mm))
     steepest = float(np.percentile(steepness[grid.mask], 99.5))
-    fraction = min(1.0, MAX_SLOPE_STEP / max(steepest, 1e-9))
+    fraction = min(1.0, 0.6 / max(steepest, 1e-9))  # slopes change by no more, but for a few
     return fraction, added * fraction
-
-
-def _dot(a: FloatArray, b: FloatArray) -> float:
-    return float(np.einsum("ij,ij->", a, b, dtype=np.float64))
 
 
 def _slopes(nodes: FloatArray, pitch_mm: float) -> Slopes:

@@ -32,17 +32,6 @@ from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid, Slopes, smooth_step
 from splitknit.skin.light import Lighting, slant_of, trust_of
-from splitknit.skin.parameters import (
-    COLOUR_MODEL_ERROR,
-    COLOUR_STEPS,
-    CROSSOVER_MM,
-    DENOISE_WINDOW_MM,
-    KNIT_MM,
-    NOISE_CAUTION,
-    RIDGE_RANGE_PER_MM,
-    RIDGE_TRUST,
-    WINDOW_OVERLAP,
-)
 
 
 def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, noise: Any) -> Array:
@@ -156,13 +145,18 @@ def _window_power(image: FloatArray, side: int) -> FloatArray:
     return np.asarray(power, dtype=np.float32)
 
 
+_WINDOW_OVERLAP = 4
+"""Windows advance by their side over this number. Chosen on: speed. Range: 2 to 8
+(validation/parameters)."""
+
+
 def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Denoise `relief` (H, W); state what is left (J. S. Lim, "Two-Dimensional Signal and Image
     Processing", 1990, 9.2). `noise_power`: (side, side // 2 + 1), :func:`_window_power` of pure
     noise in windows of that side.
     """
     side = len(noise_power)
-    hop = side // WINDOW_OVERLAP
+    hop = side // _WINDOW_OVERLAP
     rows, columns = relief.shape
     margins = [(side, side + (-(n + 2 * side)) % hop) for n in relief.shape]
     padded = np.pad(relief, margins, mode="reflect").astype(np.float32)
@@ -174,7 +168,7 @@ def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArr
         spectrum = scipy.fft.rfft2(strip * window, workers=2)
         raw = (spectrum.real**2 + spectrum.imag**2).astype(np.float32)
         power = scipy.ndimage.uniform_filter(raw, (1, 3, 3), mode=("wrap", "wrap", "nearest"))
-        excess = np.maximum(power - NOISE_CAUTION * noise_power, 0.0)
+        excess = np.maximum(power - 1.5 * noise_power, 0.0)
         gain = excess / (excess + noise_power + 1e-30)
         kept = scipy.fft.irfft2(spectrum * gain, (side, side), workers=2) * window
         # the error's power in each window: g^2 N + (1 - g)^2 S = g N for the Wiener gain
@@ -292,6 +286,11 @@ def _relief_residual(
     return slopes, (glare / glare[0]).astype(np.float32)
 
 
+CROSSOVER_MM = 0.3
+"""Standard deviation of the Gaussian that leaves the shape's frequencies to the coarse grid. Chosen
+on: judgement. Range: 0.3 to 0.42 (validation/parameters)."""
+
+
 def _ridge_band(slope: FloatArray, grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
     """A slope less its local mean, so that what belongs to the coarse grid does not ring at the
     outline."""
@@ -323,9 +322,9 @@ def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatA
     # features
     signal = np.array([signal[(centres >= w / 2) & (centres <= w * 1.0001)].max() for w in centres])
     signal = np.maximum(signal, (0.4 * np.minimum(1, 12 / centres) ** 2) ** 2)
-    # ridges are unmixed with little shrinkage: steep flanks shade less than linearly, and noise is
-    # removed later
-    signal = signal * (1 + (RIDGE_TRUST - 1) * smooth_step(((centres - 7) / 4).astype(np.float32)))
+    # ridges are unmixed with little shrinkage, as if they were 4 times as strong (4 to 5.6 do):
+    # steep flanks shade less than linearly, and noise is removed later
+    signal = signal * (1 + 3 * smooth_step(((centres - 7) / 4).astype(np.float32)))
     specular = np.maximum(4 * specular, 1e-5)
     log_omega = np.log(np.maximum(omega, 1e-3))
     fine_signal = np.exp(np.interp(log_omega, np.log(centres), np.log(signal)))
@@ -336,13 +335,18 @@ def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatA
     return Unmixing([grid.radial(omega, w) for w in weights], noise)
 
 
+_RIDGE_RANGE_PER_MM = (9.0, 24.0)
+"""Angular frequencies of ridges: periods of 0.70 to 0.26 mm, as seen from above, in rad/mm. Chosen
+on: judgement. Range: 0.7 to 2 times these values (validation/parameters)."""
+
+
 def _plausible(omega: Array, signal: Array) -> Array:
     """The relief's power `signal` with that above the ridges' own frequency limited to the fall of
     a ridge's harmonics. Where skin passes next to nothing, errors in the glare's colour look like
     relief. Slopes of flat ridges with narrow, steep valleys fall off about as one over the
     frequency; nothing rougher is believed.
     """
-    ridges = np.flatnonzero((omega >= RIDGE_RANGE_PER_MM[0]) & (omega <= RIDGE_RANGE_PER_MM[1]))
+    ridges = np.flatnonzero((omega >= _RIDGE_RANGE_PER_MM[0]) & (omega <= _RIDGE_RANGE_PER_MM[1]))
     peak = int(ridges[np.argmax(signal[ridges])])
     limit = signal[peak] * (omega[peak] / omega) ** 2
     return np.where(omega > omega[peak], np.minimum(signal, limit), signal)
@@ -379,6 +383,11 @@ def _integrated(
     return total * (-1j / square)
 
 
+KNIT_MM = 0.5
+"""Standard deviation of the Gaussian that separates relief and shape in the result. Chosen on:
+judgement. Range: 0.35 to 0.5 (validation/parameters)."""
+
+
 def detail_of(shape_mm: FloatArray, trust: FloatArray, grid: Grid) -> FloatArray:
     """The ridge band (h, w) of the coarse shape: creases and what else is finer than the crossover.
     Taken from the slopes less their local mean, so that the curvature at the outline is not taken
@@ -389,6 +398,11 @@ def detail_of(shape_mm: FloatArray, trust: FloatArray, grid: Grid) -> FloatArray
     )
     whole = _integrated(grid, [(x, y)], [np.ones(1, dtype=np.float32)])
     return grid.inverse(whole * high_pass(grid, KNIT_MM)) * grid.mask
+
+
+_DENOISE_WINDOW_MM = 1.7
+"""Side of a window: about four ridges. Chosen on: judgement. Range: 1.19 to 3.4
+(validation/parameters)."""
 
 
 def denoise(
@@ -406,7 +420,7 @@ def denoise(
     ]
     pure = grid.inverse(_integrated(grid, noise, mix.weights) * high_pass(grid))
     # a multiple of the overlap
-    side = max(16, WINDOW_OVERLAP * round(DENOISE_WINDOW_MM / grid.pitch_mm / WINDOW_OVERLAP))
+    side = max(16, _WINDOW_OVERLAP * round(_DENOISE_WINDOW_MM / grid.pitch_mm / _WINDOW_OVERLAP))
     if min(grid.shape) <= side:
         return relief_mm, np.full(grid.shape, float(pure.std()), dtype=np.float32)
     clean, deviation = _local_wiener(relief_mm, _window_power(pure, side))
@@ -455,6 +469,10 @@ class ReliefEstimate:
 
 _SEED = 0
 """Seed of the noise that is filtered to measure its spectrum. Source: definition."""
+_COLOUR_MODEL_ERROR = 0.5
+"""Error of the relief that is not noise (specular reflection taken for relief, flanks too steep to
+be resolved), over the relief's local rms height. Chosen on: simulated fingers
+(validation/accuracy). Range: none within 0.7 to 1.4 (validation/parameters)."""
 
 
 def relief_by_colour(
@@ -471,14 +489,14 @@ def relief_by_colour(
     scattering away.
     """
     relief = np.zeros(grid.shape, dtype=np.float32)
-    for _ in range(rounds * COLOUR_STEPS):
+    for _ in range(rounds * 2):
         slopes, glare = _relief_residual(measured, grid, smooth_mm + relief)
         mix = unmixing(measured, grid, _with_relief(slopes, measured, grid, relief), glare)
         relief = update(measured, grid, slopes, mix, relief)
         relief, noise = denoise(relief, grid, mix, _SEED)
     sensitivity = abs(_scattering_sensitivity(measured, grid, mix, scattering_more, relief))
     height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), 0.0))
-    model = np.float32(np.hypot(sensitivity, COLOUR_MODEL_ERROR)) * height
+    model = np.float32(np.hypot(sensitivity, _COLOUR_MODEL_ERROR)) * height
     return ReliefEstimate(
         relief_mm=relief,
         deviation_mm=np.sqrt(noise**2 + model**2).astype(np.float32),

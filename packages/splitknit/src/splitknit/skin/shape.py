@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.pixels import bin_mean
 from splitknit.integration.poisson import poisson
 from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
@@ -26,15 +26,6 @@ from splitknit.skin.light import (
     lighting,
     predict,
     reached_by_all,
-)
-from splitknit.skin.parameters import (
-    COARSE_PITCH_MM,
-    GLARE_RATIO,
-    MAX_SPECULAR,
-    NOISE_RATIO,
-    SHAPE_CUTOFF_PER_MM,
-    SHAPE_KNEE_PER_MM,
-    START_ROUNDS,
 )
 from splitknit.skin.relief import unmixing_weights
 
@@ -66,6 +57,11 @@ class Shape:
     brightness: Mapping[str, float]
     glare: Mapping[str, tuple[float, float]]
     """Roughness and strength of the specular reflection by the last channel of each band."""
+
+
+COARSE_PITCH_MM = 0.106
+"""Pitch of the coarse grid. Chosen on: judgement. Range: 0.0742 to 0.106
+(validation/parameters)."""
 
 
 def coarse_images(bands: tuple[BandImages, ...], grid: Grid, plane_mm: float) -> CoarseImages:
@@ -131,7 +127,7 @@ def _start_shape(band: BandImages, grid: Grid, plane_mm: float) -> FloatArray:
     the mask."""
     height = np.zeros(grid.shape, dtype=np.float32)
     stack = band.stack.sum(axis=0)
-    for _ in range(START_ROUNDS):
+    for _ in range(2):
         g = pseudo_normals(stack, band.rig, height + plane_mm, grid.mask, view=grid.view)
         length = np.sqrt((g * g).sum(axis=-1, keepdims=True))
         normals = g / np.maximum(length, 1e-9)
@@ -166,6 +162,13 @@ class Residual:
     brightness: Mapping[str, float]
     glare: Mapping[str, tuple[float, float]]
     bands: tuple[tuple[str, ...], ...]  # channels of each band
+
+
+_MAX_SPECULAR = 1.0
+"""Largest specular reflection that is predicted, over that of a clean boundary with the skin's
+refractive index. What is left over is separated by its colour; what is predicted in excess becomes
+relief that is not there. Chosen on: judgement. Range: none within 0.7 to 1.4
+(validation/parameters)."""
 
 
 def residual_of(
@@ -209,7 +212,7 @@ def residual_of(
                     band.stack[-1][:, region], lit, MicrofacetGlare(normals[region], vectors)
                 )
             specular = replace(
-                specular, strength=min(specular.strength, MAX_SPECULAR * float(np.pi) * exposure)
+                specular, strength=min(specular.strength, _MAX_SPECULAR * float(np.pi) * exposure)
             )
             exposure_of_white = exposure
         strength = specular.strength * exposure / exposure_of_white
@@ -255,14 +258,17 @@ def _wiener(
     for g, members in enumerate(residual.bands):
         for name in members:
             glare[names.index(name), g] = reference / max(residual.brightness[name], 1e-6)
+    # apparent slope of specular reflection over the shape's slopes
     weights = unmixing_weights(
         np.stack([optics[name](omega) for name in names]),
         glare,
-        1 / (1 + (omega / SHAPE_KNEE_PER_MM) ** 2) ** 2,
-        np.full(omega.shape, GLARE_RATIO**2),
-        np.full(len(names), NOISE_RATIO**2),
+        1
+        / (1 + (omega / 5.0) ** 2) ** 2,  # slopes of a shape fall off from 5 rad/mm (3.5 to 10 do)
+        np.full(omega.shape, 0.16**2),
+        np.full(len(names), 0.1**2),  # noise of the slopes over the shape's (0.1 to 0.14 do)
     )
-    weights = weights * np.exp(-0.5 * (omega / SHAPE_CUTOFF_PER_MM) ** 2)
+    # slopes beyond 8 rad/mm are left to the fine grid (5.6 to 16 do)
+    weights = weights * np.exp(-0.5 * (omega / 8.0) ** 2)
     gains = {name: grid.radial(omega, w) for name, w in zip(names, weights, strict=True)}
     kept = sum(gain * grid.sampled(optics[name]) for name, gain in gains.items())
 

@@ -120,6 +120,9 @@ class View {
     surface.raise(1, false);
     const { center, radius } = surface.geometry.boundingSphere;
     Object.assign(this, { center: center.clone(), radius });
+    const [across, down] = [surface.columns, surface.rows].map((count) => surface.pitch * count);
+    this.half = { across: across / 2, down: down / 2 };
+    figure.style.setProperty("--ratio", Math.min(Math.max(across / down, 0.5), 2));
     this.material = new THREE.MeshPhongMaterial({ vertexColors: true, side: THREE.DoubleSide, shininess: 18 });
     this.material.specular.setScalar(0.06);
     this.mesh = new THREE.Mesh(surface.geometry, this.material);
@@ -142,7 +145,7 @@ class View {
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height) return;
-    const tall = 1.02 * this.radius * Math.max(1, height / width);
+    const tall = 1.04 * Math.max(this.half.down, (this.half.across * height) / width);
     const wide = (tall * width) / height;
     Object.assign(this.camera, { top: tall, bottom: -tall, right: wide, left: -wide });
     this.camera.updateProjectionMatrix();
@@ -244,26 +247,30 @@ function drawSection() {
   const places = cut();
   const alone = byId("alone").checked;
   const { unit, small } = views[0].surface;
-  const factor = unit === small ? 1 : 1000; // um in a mm
-  const curves = views.map(({ surface }) => {
+  const levels = views.map(({ surface }) => {
     const heights = places.map(({ x, y }) => {
       const shape = alone ? 0 : surface.at(surface.shape, x, y);
-      return factor * (shape + surface.at(surface.ridge, x, y));
+      return shape + surface.at(surface.ridge, x, y);
     });
     const known = heights.filter((height) => !Number.isNaN(height));
     const mean = known.reduce((sum, height) => sum + height, 0) / known.length;
     return heights.map((height) => height - mean);
   });
-  const every = curves.flat().filter((height) => !Number.isNaN(height));
+  const every = levels.flat().filter((height) => !Number.isNaN(height));
   if (!every.length) {
     chart.replaceChildren();
     note.textContent = "No surface lies between the two points.";
     return;
   }
-  const [low, high] = [Math.min(...every), Math.max(...every)];
+  const fine = unit !== small && Math.max(...every) - Math.min(...every) < 1;
+  const [factor, named] = fine ? [1000, small] : [1, unit]; // um in a mm
+  const curves = levels.map((heights) => heights.map((height) => factor * height));
+  const [low, high] = [factor * Math.min(...every), factor * Math.max(...every)];
   const spread = Math.max(high - low, 1e-6);
   const length = places.at(-1).along;
-  const box = { left: 70, right: 890, top: 12, bottom: 250 };
+  const width = chart.parentElement.clientWidth;
+  chart.setAttribute("viewBox", `0 0 ${width} 300`);
+  const box = { left: 50, right: width - 10, top: 12, bottom: 250 };
   const across = (along) => box.left + ((box.right - box.left) * along) / length;
   const up = (height) => box.bottom - ((box.bottom - box.top) * (height - low)) / spread;
   const drawn = [];
@@ -277,11 +284,11 @@ function drawSection() {
     add("path", { d: `M${box.left} ${up(height)}H${box.right}`, stroke: "#ddd" });
     add("text", { x: box.left - 6, y: up(height) + 4, "text-anchor": "end" }, height);
   }
-  for (const along of ticks(0, length, 8)) {
+  for (const along of ticks(0, length, width / 90)) {
     add("path", { d: `M${across(along)} ${box.bottom}v5`, stroke: "#888" });
     add("text", { x: across(along), y: box.bottom + 18, "text-anchor": "middle" }, along);
   }
-  add("text", { x: box.left, y: box.bottom + 36 }, `${alone ? "relief" : "height"} in ${small}, along in ${unit}`);
+  add("text", { x: box.left, y: box.bottom + 36 }, `${alone ? "relief" : "height"} in ${named}, along in ${unit}`);
   curves.forEach((curve, n) => {
     const steps = curve.map((height, k) => {
       if (Number.isNaN(height)) return "";
@@ -296,7 +303,7 @@ function drawSection() {
   });
   chart.replaceChildren(...drawn);
   const corners = ends.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" to ");
-  const figures = `${length.toFixed(2)} ${unit} long, ${spread.toPrecision(3)} ${small} from lowest to highest`;
+  const figures = `${length.toFixed(2)} ${unit} long, ${Number(spread.toPrecision(3))} ${named} from lowest to highest`;
   note.textContent = `Section from ${corners} ${unit}: ${figures}.`;
 }
 

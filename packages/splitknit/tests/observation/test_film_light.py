@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging.polarised import (
+from splitknit.observation.films import (
     findings_on_series,
     separate_polarised,
     specular_picture,

@@ -13,29 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.capture import Ambient, Band, Capture
 from splitknit.checks import check_lights, check_mask
 from splitknit.errors import naming, refusing, require
+from splitknit.files import AnyPath
 from splitknit.findings import Finding
-from splitknit.imaging.band import (
-    block_means,
-    coarse_flat,
-    decode_table,
-    linear_image,
-    pick_channel,
-    srgb_code,
-)
-from splitknit.imaging.parameters import FEWEST_LIGHTS
-from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
-from splitknit.imaging.response import shading_is_srgb
+from splitknit.imaging.pixels import block_means, pick_channel
 from splitknit.io.content import check_contents, mask_from_image
+from splitknit.io.images import STACK_BYTES, SizeCheck
 from splitknit.io.light_list import read_intensities, read_light_list
-from splitknit.io.parameters import (
-    BRIGHTEST_FLOAT,
-    JUDGED_PHOTOGRAPHS,
-    JUDGED_PIXELS,
-    NEGATIVE,
-    STACK_BYTES,
-)
+from splitknit.io.paging import chosen, new_stack
 from splitknit.io.photograph_files import (
     INTENSITIES,
     LIGHT_LISTS,
@@ -48,29 +35,26 @@ from splitknit.io.photos import FORMATS, RAW_SUFFIXES, Photo, encoding_of, read_
 from splitknit.io.provenance import file_hash
 from splitknit.io.rig import read_rig
 from splitknit.model import (
-    UNKNOWN_SCALE,
-    Band,
+    Array,
     BoolArray,
     Camera,
-    Capture,
     FloatArray,
     Led,
     PixelArray,
+    Point,
     Rig,
     camera_without_scale,
 )
+from splitknit.observation.encoding import shading_is_srgb
+from splitknit.observation.films import NOT_SPECULAR, split_mosaic
+from splitknit.observation.stored import coarse_flat, decode_table, linear_image, stored_values
+from splitknit.reconstruction import UNKNOWN_SCALE
 from splitknit.settings import check_value
-from splitknit.steps import large_array, let_go
 
 _NO_CAMERA = Camera(1.0, (1, 1))
 """Stands for a camera that is not known. Source: definition."""
 _MASK_ALL = "all"  # in place of a mask: the object fills the photographs
 UNKNOWN = "unknown"  # in place of the lights: they are estimated
-_OTHER_CURVE = (
-    "the photographs shade as {0}, not as {1}, which was stated of them: heights are then wrong by "
-    "a factor of about two; give `encoding` {0}, or leave it out. Gloss on a shallow relief looks "
-    "so too."
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +73,8 @@ class _Lights:
     source: Path  # their file, or a word for messages
     rig: Rig
     names: tuple[str, ...] = ()  # of photographs, in their file
-    colours: NDArray[np.float64] | None = None  # (L, 3) relative brightness of red, green and blue
+    colours: Array | None = None  # (L, 3) relative brightness of red, green and blue
+    camera_mm: Point | None = None  # the camera's centre, as a list of places states it
 
 
 def capture_from_photographs(photographs: GivenPhotographs) -> Photographs:
@@ -125,20 +110,25 @@ def capture_from_photographs(photographs: GivenPhotographs) -> Photographs:
     count = len(known.rig.leds)
     if len(files) == 1 and count == 3:  # three coloured lights at once: one channel for each
         files = files * 3
-    holds = f"{root} holds {len(files)} photographs"
     require(
         len(files) == count,
-        f"{holds} ({files[0].name} to {files[-1].name}), but {source} has {count} lights{left_out}"
-        "; let each of its lines begin with the name of a photograph.",
+        f"{root} holds {len(files)} photographs ({files[0].name} to {files[-1].name}), but"
+        f" {source} has {count} lights{left_out}; let each of its lines begin with the name of a"
+        " photograph.",
     )
     crossed: list[Path] = []
     if photographs.crossed is not None:
         second = Path(photographs.crossed)
-        remedy = "name the folder of the crossed photographs with `crossed`."
-        require(second.is_dir(), f"{second} is not a folder; {remedy}")
+        require(
+            second.is_dir(),
+            f"{second} is not a folder; name the folder of the crossed photographs with `crossed`.",
+        )
         crossed = photographs_in(second, source, known.names, used).photographs
-        remedy = "both series need one photograph a light, in the same order."
-        require(len(crossed) == count, f"{holds}, but {second} {len(crossed)}; {remedy}")
+        require(
+            len(crossed) == count,
+            f"{root} holds {count} photographs, but {second} {len(crossed)}; both series need one"
+            " photograph a light, in the same order.",
+        )
     capture, assumed = _assembled(files, crossed, known, photographs)
     if source.is_file():
         capture = replace(capture, hashes={**capture.hashes, source.name: file_hash(source)})
@@ -208,21 +198,27 @@ def _lights_of(folder: Path, lights: Any) -> _Lights:
         of_rti = list(folder.glob("*.lp"))
         if len(of_rti) == 1 and folder / "lights.txt" not in usual:
             usual = of_rti
-        remedy = "name the file of the light directions by `lights`."
-        require(len(usual) > 0, f"{folder} holds no lights.txt; {remedy}")
+        require(
+            len(usual) > 0,
+            f"{folder} holds no lights.txt; name the file of the light directions by `lights`.",
+        )
         table = usual[0]
     if table.suffix.lower() == ".json":
         return _Lights(table, _of_band(read_rig(table), "white", os.fspath(table)))
     listed = read_light_list(table)
     vectors = check_lights(listed.lights)
+    camera = listed.camera_mm
+    if camera is not None:  # the rig's origin lies below it
+        vectors = vectors - (*camera[:2], 0.0)
     rig = _near_rig(vectors, table) if listed.places else _distant_rig(vectors)
     brightness = listed.intensities
     for beside in (table.parent / INTENSITIES, folder / INTENSITIES):
         if brightness is None and beside.is_file():
             brightness = read_intensities(beside, len(rig.leds))
+    known = _Lights(table, rig, listed.names, camera_mm=camera)
     if brightness is None:
-        return _Lights(table, rig, listed.names)
-    return _Lights(table, _as_bright(rig, brightness), listed.names, _colours_of(brightness))
+        return known
+    return replace(known, rig=_as_bright(rig, brightness), colours=_colours_of(brightness))
 
 
 def _with_brightness(lights: _Lights, brightness: str) -> _Lights:
@@ -237,7 +233,7 @@ def _with_brightness(lights: _Lights, brightness: str) -> _Lights:
     return replace(lights, rig=replace(lights.rig, leds=leds, provenance=origin), colours=None)
 
 
-def _as_bright(rig: Rig, brightness: NDArray[np.float64]) -> Rig:
+def _as_bright(rig: Rig, brightness: Array) -> Rig:
     """The rig with the brightness (L, 1 or 3) of its lights, one on average."""
     means = (brightness / brightness.mean()).mean(axis=1).tolist()
     pairs = zip(rig.leds, means, strict=True)
@@ -245,7 +241,7 @@ def _as_bright(rig: Rig, brightness: NDArray[np.float64]) -> Rig:
     return replace(rig, leds=leds, provenance={**rig.provenance, "intensities": "stated"})
 
 
-def _colours_of(brightness: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _colours_of(brightness: Array) -> Array | None:
     """(L, 3) brightness of red, green and blue over their mean; None where it is one number."""
     return brightness / brightness.mean(axis=1, keepdims=True) if brightness.shape[1] == 3 else None
 
@@ -263,27 +259,27 @@ def _rig_of(leds: Sequence[Led], kind: str) -> Rig:
     return Rig(_NO_CAMERA, tuple(leds), {"source": source, "intensities": "assumed equal"})
 
 
-def _distant_rig(vectors: NDArray[np.float64]) -> Rig:
+def _distant_rig(vectors: Array) -> Rig:
     """A rig of lights in directions (L, 3)."""
     lowest = int(np.argmin(vectors[:, 2]))
     require(
-        bool(vectors[lowest, 2] > 0),
+        vectors[lowest, 2] > 0,
         f"light {lowest} points away from the camera (z <= 0); lights point towards the light.",
     )
     unit = vectors / np.linalg.norm(vectors, axis=1)[:, None]
     return _rig_of([Led("white", direction=(x, y, z)) for x, y, z in unit.tolist()], "distant")
 
 
-def _near_rig(places: NDArray[np.float64], table: Path) -> Rig:
+def _near_rig(places: Array, table: Path) -> Rig:
     """A rig of lights at places (L, 3) in mm."""
     require(
-        bool((places[:, 2] >= 1.0).all()),
+        (places[:, 2] >= 1.0).all(),
         f"{table}: places of lights are in mm above the object (the third number at least 1).",
     )
     return _rig_of([Led("white", position_mm=(x, y, z)) for x, y, z in places.tolist()], "near")
 
 
-def spread_lights(count: int) -> NDArray[np.float64]:
+def spread_lights(count: int) -> Array:
     """(L, 3) directions that all differ, in place of unknown ones."""
     k = np.arange(count)
     slant = np.deg2rad(15.0 + 35.0 * (k + 0.5) / count)
@@ -343,7 +339,7 @@ def capture_of_arrays(
         )
         rig = _as_bright(rig, brightness)
         colours = _colours_of(brightness) if stack.shape[3] == 3 else None
-    notes = []
+    notes: list[Finding] = []
     encoding = "linear"
     if kind == np.uint8:
         curved = None if lights is None else _values_are_srgb(list(map(_sampled, stack)), rig)
@@ -351,11 +347,14 @@ def capture_of_arrays(
         why = "was assumed" if curved is None else "fits the shading"
         words = f"the encoding {encoding} {why} of images of 8 bits."
         notes.append(Finding("assumed-encoding", words))
-    pixels, _, _ = _as_integers(stack, None, 0.0)
-    band = replace(_white_band(pixels), transmission=colours)
+    if colours is not None:
+        gains = _gains(colours)
+        stack = np.stack([_evened(*each, encoding) for each in zip(stack, gains, strict=True)])
+        encoding = "linear"
+    if stack.dtype.kind == "f":
+        stack, _, _ = _as_integers(stack, None, 0.0)
+    band = _white_band(stack)
     check_contents([band])
-    if scale is None:
-        notes.insert(0, Finding("scale-unknown", UNKNOWN_SCALE))
     camera = camera_without_scale(shape[1:3]) if scale is None else Camera(scale, shape[1:3])
     inside = None if mask is None else check_mask(mask, shape[1:3])
     rig = replace(rig, camera=camera)
@@ -389,7 +388,15 @@ def _assembled(
     encoding, notes = _encoding(files, rig, photographs)
     first = _series_of(different[0], photographs)
     form = _form_of(different[0], first[0], encoding, photographs.max_megapixels)
-    camera = _camera_of(rig.camera, form, photographs.px_per_mm)
+    if lights.colours is not None and len(different) > 1 and form.shape[2] == 3:
+        form = replace(form, gains=_gains(lights.colours))
+        others = (photographs.background, photographs.crossed, photographs.mosaic, photographs.flat)
+        require(
+            all(value is None for value in others),
+            "lights with a brightness for each colour go without `background`, `crossed`,"
+            " `mosaic`, `flat`.",
+        )
+    camera = _camera_of(rig.camera, form, photographs.px_per_mm, lights.camera_mm)
     require(
         camera.scale_known or all(led.position_mm is None for led in rig.leds),
         "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions"
@@ -397,36 +404,39 @@ def _assembled(
     )
     read = _read_stack(different, form, first, photographs)
     hashes = read.hashes
-    stack, encoding_after = _under_even_light(read.pixels, form, lights.colours, photographs)
-    ambient = None
-    black = 0.0
-    if photographs.background_image is not None:
-        photo = read_photo(photographs.background_image)
-        ambient = form.reduced(photo.pixels, Path(photographs.background_image))
-        hashes[Path(photographs.background_image).name] = photo.sha256
-    elif photographs.background is not None:
-        black = form.level(float(photographs.background))  # type: ignore[arg-type]
+    pixels = read.pixels
+    if len(pixels) == 1:  # three coloured lights at once: one channel for each
+        require(
+            pixels.shape[3] == 3,
+            f"{form.name} is grey; one photograph under three lights at once must be in colour.",
+        )
+        pixels = np.ascontiguousarray(np.moveaxis(pixels[0], -1, 0)[..., None])
+    ambient, black = _without_light(photographs, form, hashes)
+    if form.dtype.kind == "f":
+        pixels, ambient, black = _as_integers(pixels, ambient, black)
     inside, note = _mask_of(photographs.mask, form, read)
     notes += note
     flat = None
     if photographs.flat is not None:
         light, flat_hashes = read_flat(Path(photographs.flat), count, encoding)
         hashes |= flat_hashes
-        code = srgb_code(light) if encoding == "srgb" else light
-        flat = np.rint(65535.0 * np.clip(code, 0.0, 1.0)).astype(np.uint16)
-    pixels, ambient, black = _as_integers(stack, ambient, black)
+        flat = stored_values(light, form.encoding_after)
     band = replace(
-        _white_band(pixels[:count], black),
-        ambient=ambient,
-        shading=camera.shading,
+        _white_band(chosen(pixels, range(count)), black),
+        ambient=None if ambient is None else Ambient(ambient),
         flat=flat,
         files=tuple(map(str, files)),
     )
     bands = {"white": band}
     if len(pixels) > count:
         names = tuple(map(str, crossed or files))
-        bands = _polarised(band, replace(band, pixels=pixels[count:], files=names))
-        means = [each.pixels[:, ::8, ::8].mean(dtype=np.float64) for each in bands.values()]
+        bands = _polarised(
+            band, replace(band, pixels=chosen(pixels, range(count, 2 * count)), files=names)
+        )
+        means = [
+            np.mean([image[::8, ::8].mean(dtype=np.float64) for image in each.pixels])
+            for each in bands.values()
+        ]
         notes += [Finding("not-specular", NOT_SPECULAR)] if means[1] >= means[0] else []
     check_contents(bands.values())
     notes += _notes_on(form, camera, first[0].orientation)
@@ -434,13 +444,32 @@ def _assembled(
     capture = Capture(
         rig=replace(rig, camera=camera),
         bands=bands,
-        encoding=encoding_after,
+        encoding=form.encoding_after,
         material=photographs.material or material,
         tip_direction_deg=photographs.tip_direction_deg,
         mask=inside,
         hashes=hashes,
     )
     return capture, notes
+
+
+def _without_light(
+    photographs: GivenPhotographs, form: _Form, hashes: dict[str, str]
+) -> tuple[NDArray[Any] | None, float]:
+    """The background's photograph, whose SHA-256 joins the others, or its value; once reduced."""
+    if photographs.background is None:
+        return None, 0.0
+    if photographs.background_image is None:
+        return None, form.level(float(photographs.background))  # type: ignore[arg-type]
+    file = Path(photographs.background_image)
+    photo = read_photo(file, form.check(file))
+    require(
+        photo.pixels.dtype.kind == form.dtype.kind,
+        "the background image is of floats and the photographs are not, or the reverse; save both"
+        " in one format.",
+    )
+    hashes[file.name] = photo.sha256
+    return form.reduced(photo.pixels, file), 0.0
 
 
 def _notes_on(form: _Form, camera: Camera, orientation: int) -> Iterator[Finding]:
@@ -473,8 +502,10 @@ def _polarised(parallel: Band, crossed: Band) -> dict[str, Band]:
 def _each_once(files: Sequence[Path], photographs: GivenPhotographs) -> Sequence[Path]:
     """The files; the one file of three coloured lights once. BadInput if others are named twice."""
     if len(set(files)) == 1:
-        words = f"{files[0]}, one photograph under three lights, goes without `mosaic`."
-        require(photographs.mosaic is None, words)
+        require(
+            photographs.mosaic is None,
+            f"{files[0]}, one photograph under three lights, goes without `mosaic`.",
+        )
         return files[:1]
     places: set[str] = set()
     for file in files:
@@ -491,45 +522,37 @@ def _encoding(
     if photographs.mosaic is not None:
         return "linear", []
     if photographs.encoding is None:
-        encoding, note = encoding_of(
-            files, lambda: _shading_is_srgb(files, rig, photographs, np.uint8)
-        )
+        encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, photographs))
         return encoding, [Finding("assumed-encoding", note)]
-    if photographs.material == "skin" or photographs.flat is not None:
-        return photographs.encoding, []
-    curved = _shading_is_srgb(files, rig, photographs, np.uint8, np.uint16)
-    if curved is None or curved == (photographs.encoding == "srgb"):
-        return photographs.encoding, []
-    words = _OTHER_CURVE.format("srgb" if curved else "linear", photographs.encoding)
-    return photographs.encoding, [Finding("other-encoding", words)]
+    return photographs.encoding, []
 
 
-def _shading_is_srgb(
-    files: Sequence[Path], rig: Rig, photographs: GivenPhotographs, *kinds: type[np.unsignedinteger]
-) -> bool | None:
-    """Whether the shading in photographs of `kinds` is that of sRGB values, None where it decides
+def _shading_is_srgb(files: Sequence[Path], rig: Rig, photographs: GivenPhotographs) -> bool | None:
+    """Whether the shading in photographs of 8 bits is that of sRGB values, None where it decides
     nothing. What is calibrated by `flat` is an industrial camera's, and linear.
     """
     if photographs.flat is not None:
         return False
-    if rig.provenance.get("lights") == UNKNOWN or len(files) < FEWEST_LIGHTS:
+    # lights of known brightness from which shading shows the curve; one more where it is estimated
+    if rig.provenance.get("lights") == UNKNOWN or len(files) < 5:
         return None
-    number = min(len(files), JUDGED_PHOTOGRAPHS)
+    number = min(len(files), 24)  # enough, and quick
     chosen = np.unique(np.linspace(0, len(files) - 1, number).astype(int))
     values = []
+    shape: tuple[int, ...] = ()
     for k in chosen:
-        pixels = read_photo(files[k]).pixels
-        if pixels.dtype not in kinds:
+        check = partial(_check_like, shape, files[0], files[k]) if shape else None
+        pixels = read_photo(files[k], check).pixels
+        if pixels.dtype != np.uint8:
             return None
         values.append(_sampled(pixels))
-    if len({part.size for part in values}) > 1:  # refused where all are read
-        return None
+        shape = pixels.shape
     return _values_are_srgb(values, replace(rig, leds=tuple(rig.leds[k] for k in chosen)))
 
 
 def _sampled(pixels: NDArray[Any]) -> FloatArray:
-    """Some values in [0, 1] of the green channel of an image (H, W, C)."""
-    step = max(1, round((pixels[..., 0].size / JUDGED_PIXELS) ** 0.5))
+    """Some 20,000 values in [0, 1] of the green channel of an image (H, W, C)."""
+    step = max(1, round((pixels[..., 0].size / 20_000) ** 0.5))
     sample = pixels[::step, ::step, pixels.shape[2] // 2].ravel()
     return sample / np.float32(np.iinfo(pixels.dtype).max)
 
@@ -537,6 +560,17 @@ def _sampled(pixels: NDArray[Any]) -> FloatArray:
 def _values_are_srgb(values: Sequence[FloatArray], rig: Rig) -> bool | None:
     known = not rig.intensities_assumed
     return shading_is_srgb(np.stack(values), rig.light_vectors(), known=known)
+
+
+def _check_like(
+    shape: tuple[int, ...], like: Path, file: str | os.PathLike[str], rows: int, columns: int
+) -> None:
+    """Refuse a file of another size than `shape`, that of `like`."""
+    require(
+        (rows, columns) == shape[:2],
+        f"{file} has {rows} x {columns} pixels (rows x columns), but {shape[0]} x {shape[1]} are"
+        f" expected by {like}.",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -548,6 +582,7 @@ class _Form:
     dtype: np.dtype[Any]
     encoding: str
     factor: float  # pixels a side that become one
+    gains: FloatArray | None = None  # (L, 3) of colours that lights have more of than others
 
     @property
     def small(self) -> tuple[int, int]:
@@ -559,43 +594,63 @@ class _Form:
         return self.shape[0] * self.shape[1] / 1e6
 
     @property
-    def becomes_linear(self) -> bool:
-        """Whether means of linear light take the place of stored integers."""
-        return self.factor > 1 and self.dtype.kind == "u"
+    def as_stored(self) -> bool:
+        """Whether photographs are kept as they are."""
+        return self.factor == 1 and self.gains is None
 
     @property
     def encoding_after(self) -> str:
-        return "linear" if self.becomes_linear else self.encoding
+        means = self.dtype.kind == "f" and self.gains is None
+        return self.encoding if self.as_stored or means else "linear"
 
     def level(self, stored: float) -> float:
         """A stored value once reduced."""
-        if not self.becomes_linear:
+        if self.dtype.kind == "f":
             return stored
         table = decode_table(self.dtype, self.encoding)
-        top = len(table) - 1
-        within = 0 <= stored <= top
-        require(within, f"the background must lie between 0 and {top}, not {stored:g}.")
-        return 65535.0 * float(np.interp(stored, np.arange(len(table)), table))
-
-    def reduced(self, pixels: NDArray[Any], file: Path) -> NDArray[Any]:
-        """Pixels (H, W, C) of a photograph, or of a mask, once reduced."""
-        rows, columns = pixels.shape[:2]
+        top = table.size - 1
         require(
-            (rows, columns) == self.shape[:2],
-            f"{file} has {rows} x {columns} pixels (rows x columns), but "
-            f"{self.shape[0]} x {self.shape[1]} are expected by {self.name}.",
+            0 <= stored < top,
+            f"the background must lie between 0 and {top}, but it is {stored:g}.",
         )
-        if self.factor == 1:
+        if self.as_stored:
+            return stored
+        return 65535.0 * float(np.interp(stored, np.arange(table.size), table))
+
+    def check(self, file: str | os.PathLike[str]) -> SizeCheck:
+        """What raises BadInput for another size of the photograph, or of a mask."""
+        return partial(_check_like, self.shape, self.name, file)
+
+    def reduced(self, pixels: NDArray[Any], file: Path, k: int | None = None) -> NDArray[Any]:
+        """Pixels (H, W, C) of photograph `k`, or of a mask or background, once reduced."""
+        self.check(file)(*pixels.shape[:2])
+        if self.as_stored:
             return pixels
-        if pixels.dtype.kind == "f":
-            return block_means(pixels, self.small, self.factor).reshape(*self.small, -1)
-        light = linear_image(pixels, self.encoding, binning=self.factor)
-        return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * 65535.0).astype(np.uint16))
+        gains = 1.0 if k is None or self.gains is None else self.gains[k]
+        return _evened(pixels, gains, self.encoding, self.factor)
+
+
+def _gains(colours: Array) -> FloatArray:
+    """Factors that bring lights with these `colours` (L, 3) to one, 1 at most."""
+    return np.asarray(colours.min() / colours, dtype=np.float32)
+
+
+def _evened(
+    image: NDArray[Any], gains: FloatArray | float, encoding: str, factor: float = 1.0
+) -> NDArray[Any]:
+    """Means of a photograph (H, W, C) over blocks, times `gains`: integers as 16 bits of linear
+    light, clipping kept; floats as they are."""
+    if image.dtype.kind == "f":
+        shape = int(image.shape[0] // factor), int(image.shape[1] // factor)
+        return np.asarray(block_means(image, shape, factor).reshape(*shape, -1) * gains)
+    light = linear_image(image, encoding, binning=factor)
+    clipped = light > 1 - 1e-5
+    return np.where(clipped, 65535, np.rint(65535.0 * light * gains)).astype(np.uint16)
 
 
 def _form_of(file: Path, photo: Photo, encoding: str, max_megapixels: float | None) -> _Form:
     """The form of the first photograph; sides become smaller by eighths, as
-    :func:`splitknit.imaging.band.linear_image` takes them.
+    :func:`splitknit.observation.stored.linear_image` takes them.
     """
     form = _Form(file, photo.pixels.shape, photo.pixels.dtype, encoding, 1.0)
     if max_megapixels is None:
@@ -607,11 +662,14 @@ def _form_of(file: Path, photo: Photo, encoding: str, max_megapixels: float | No
     return form
 
 
-def _series_of(file: Path, photographs: GivenPhotographs) -> list[Photo]:
-    """The photograph of a file; of a mosaic the parallel and the crossed one."""
-    photo = read_photo(file)
+def _series_of(
+    file: Path, photographs: GivenPhotographs, check: SizeCheck | None = None
+) -> list[Photo]:
+    """The photograph of a file; of a mosaic the parallel and the crossed one, with half the pixels
+    a side."""
     if photographs.mosaic is None:
-        return [photo]
+        return [read_photo(file, check)]
+    photo = read_photo(file)
     colour = photographs.mosaic == "colour"
     split = partial(split_mosaic, photo.pixels, photographs.film_deg, colour=colour)
     return [replace(photo, pixels=half, opaque=None) for half in naming(file, split)]
@@ -631,19 +689,19 @@ def _read_stack(
     files: Sequence[Path], form: _Form, first: list[Photo], photographs: GivenPhotographs
 ) -> _Stack:
     """Read all photographs; `first`: those of the first file."""
-    shape = (len(first) * len(files), *form.small, form.shape[2])
-    dtype = np.dtype(np.uint16) if form.becomes_linear else form.dtype
+    like = form.reduced(first[0].pixels, files[0], 0)
+    shape = (len(first) * len(files), *like.shape)
     require(
-        math.prod(shape) * dtype.itemsize <= STACK_BYTES,
+        math.prod(shape) * like.itemsize <= STACK_BYTES,
         f"{files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB"
         "; name fewer, or reduce them by `max_megapixels`.",
     )
-    stack = large_array(shape, dtype)
+    stack = new_stack(shape, like.dtype)
     opaque = None
     hashes: dict[str, str] = {}
     turn = first[0].orientation
     for k, file in enumerate(files):
-        series = _series_of(file, photographs) if k else first
+        series = _series_of(file, photographs, form.check(file)) if k else first
         photo = series[0]
         require(
             photo.orientation == turn,
@@ -652,12 +710,11 @@ def _read_stack(
             "all one orientation.",
         )
         for part, each in enumerate(series):
-            pixels = form.reduced(each.pixels, file)
+            pixels = form.reduced(each.pixels, file, k)
             kinds = [_kind(each.pixels), _kind(first[0].pixels)]
             words = f"{file} is {kinds[0]}, but {files[0]} is {kinds[1]}; all must agree."
             require(kinds[0] == kinds[1], words)
             stack[k + part * len(files)] = pixels
-            let_go(stack)
         if photo.opaque is not None:
             opaque = photo.opaque if opaque is None else opaque & photo.opaque
         name = file.name if file.name not in hashes else f"{file.parent.name}/{file.name}"
@@ -670,7 +727,7 @@ def _kind(pixels: NDArray[Any]) -> str:
 
 
 def _mask_of(
-    mask: str | os.PathLike[str] | None, form: _Form, read: _Stack
+    mask: AnyPath | None, form: _Form, read: _Stack
 ) -> tuple[BoolArray | None, list[Finding]]:
     """Mask (h, w) of a file, of the word ``all``, or of the photographs' own transparency, None
     without any; and a note where it was found in a picture. The file's SHA-256 joins the others.
@@ -684,7 +741,7 @@ def _mask_of(
         photo = replace(read.first, opaque=read.opaque)
     else:
         name = os.fspath(mask)
-        photo = read_photo(mask)
+        photo = read_photo(mask, form.check(mask))
         read.hashes[Path(mask).name] = photo.sha256
     pixels = photo.pixels
     notes = []
@@ -708,8 +765,10 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
     level; and SHA-256s. One colour photograph serves three lights. Raises BadInput if they are
     missing, not `count`, or black in places.
     """
-    remedy = "name the folder of the flat photographs with `flat`."
-    require(folder.is_dir(), f"{folder} is not a folder; {remedy}")
+    require(
+        folder.is_dir(),
+        f"{folder} is not a folder; name the folder of the flat photographs with `flat`.",
+    )
     files = photographs_in(folder, folder / "lights.txt").photographs
     light = []
     hashes = {}
@@ -735,14 +794,18 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
     return np.stack(light), hashes
 
 
-def _camera_of(camera: Camera, form: _Form, px_per_mm: float | None) -> Camera:
-    """The rig's camera, or one of the stated scale, for the photographs once reduced."""
+def _camera_of(
+    camera: Camera, form: _Form, px_per_mm: float | None, centre_mm: Point | None
+) -> Camera:
+    """The rig's camera, or one of the stated scale, with parallel rays or with rays through a
+    `centre_mm`, for the photographs once reduced."""
     factor = form.factor
     stated = None if px_per_mm is None else float(px_per_mm)
     if camera is _NO_CAMERA:
         if stated is None:
             return camera_without_scale(form.small)
-        return Camera(stated / factor, form.small)
+        parallel = Camera(stated / factor, form.small)
+        return parallel if centre_mm is None else _looking_down(parallel, centre_mm)
     rows, columns = camera.image_size
     require(
         (rows, columns) == form.shape[:2],
@@ -765,65 +828,33 @@ def _camera_of(camera: Camera, form: _Form, px_per_mm: float | None) -> Camera:
     return replace(camera, image_size=form.small, px_per_mm=scale, scale_known=True, matrix=matrix)
 
 
-def _under_even_light(
-    stack: NDArray[Any],
-    form: _Form,
-    colours: NDArray[np.float64] | None,
-    photographs: GivenPhotographs,
-) -> tuple[NDArray[Any], str]:
-    """Photographs (L, H, W, 3) as even white light gives them, linear, clipping kept; of one
-    photograph its channels; others as they are. And their encoding.
-    """
-    encoding = form.encoding_after
-    if len(stack) == 1:
-        require(
-            stack.shape[3] == 3,
-            f"{form.name} is grey; one photograph under three lights at once must be in colour.",
-        )
-        return np.ascontiguousarray(np.moveaxis(stack[0], -1, 0)[..., None]), encoding
-    if colours is None or stack.shape[3] == 1:
-        return stack, encoding
-    others = (photographs.background, photographs.crossed, photographs.mosaic, photographs.flat)
-    alone = all(value is None for value in others)
-    require(
-        alone,
-        "lights with a brightness for each colour go without `background`, `crossed`, `mosaic`,"
-        " `flat`.",
-    )
-    factors = (colours.min() / colours).astype(np.float32)
-    if stack.dtype.kind == "f":
-        return np.asarray(stack * factors[:, None, None]), "linear"
-    balanced = large_array(stack.shape, np.dtype(np.uint16))
-    full = np.iinfo(stack.dtype).max
-    for k, image in enumerate(stack):
-        light = np.rint(65535.0 * (linear_image(image, encoding) * factors[k]))
-        balanced[k] = np.where(image == full, 65535, light).astype(np.uint16)
-        let_go(balanced)
-    return balanced, "linear"
+def _looking_down(camera: Camera, centre_mm: Point) -> Camera:
+    """The camera with rays through a centre, x and y of which are from the picture's middle."""
+    x, y, height = centre_mm
+    rows, columns = camera.image_size
+    scale = camera.px_per_mm
+    column, row = (columns - 1) / 2 + scale * x, (rows - 1) / 2 - scale * y
+    matrix = np.array([[scale * height, 0, column], [0, scale * height, row], [0, 0, 1]])
+    return replace(camera, model="perspective", height_mm=height, matrix=matrix)
 
 
 def _as_integers(
     stack: NDArray[Any], ambient: NDArray[Any] | None, black: float
 ) -> tuple[PixelArray, PixelArray | None, float]:
-    """Integers with their ambient image and black level."""
-    floats = stack.dtype.kind == "f"
-    require(
-        ambient is None or (ambient.dtype.kind == "f") == floats,
-        "the background image is of floats and the photographs are not, or the reverse; save both"
-        " in one format.",
-    )
-    top = float(stack.max()) if floats else float(np.iinfo(stack.dtype).max)
+    """Photographs of floats as 16-bit integers, with their ambient image and black level."""
+    top = float(max(map(np.max, stack)))
     require(top > 0, "the photographs are black: not one value is above zero.")
     require(
         0.0 <= black < top,
         f"the background must lie between 0 and {top:g}, but it is {black:g}.",
     )
-    if not floats:
-        return stack, ambient, black
-    below = float(np.mean(stack < -NEGATIVE * top))
-    words = f"{100 * below:.0f} % of the photographs' values are negative: subtract less from them."
-    require(below < NEGATIVE, words)
-    factor = 65535.0 * BRIGHTEST_FLOAT / top
+    # more than noise
+    below = float(np.mean([np.mean(image < -0.02 * top) for image in stack]))
+    require(
+        below < 0.02,
+        f"{100 * below:.0f} % of the photographs' values are negative: subtract less from them.",
+    )
+    factor = 0.9 * 65535.0 / top
 
     def scaled(values: NDArray[Any]) -> NDArray[np.uint16]:
         return np.clip(np.rint(values * factor), 0, 65535).astype(np.uint16)

@@ -3,6 +3,7 @@ reflects."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,57 +13,19 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.findings import Finding
-from splitknit.imaging.band import GREY_WEIGHTS, linear_stack
 from splitknit.imaging.geometry import bounding_box, wide_blur
-from splitknit.imaging.light_field import lights_in_front
-from splitknit.imaging.parameters import AS_ALIKE, CHUNK_ROWS, EVEN_MM, IN_FRONT
-from splitknit.model import Array, Band, BoolArray, Capture, Films, FloatArray
+from splitknit.imaging.pixels import GREY_WEIGHTS
+from splitknit.model import Array, BoolArray, Films, FloatArray
+from splitknit.observation.light import FULL_SCALE, Light
 
 NOT_SPECULAR = (
     "the crossed photographs are as bright as the parallel ones: were their folders exchanged, or"
     " did the camera change its exposure between the series?"
 )
+_ROWS = 64
 _FILMS_DEG = ((90, 45), (135, 0))
 """Directions of the films on each 2 x 2 pixels of Sony's IMX250MZR and IMX250MYR. Source: data
 sheets of these sensors."""
-
-
-def without_films(capture: Capture) -> Capture:
-    """The capture whose white light is the mean of its parallel and crossed series, where it has
-    both; taken where images are made linear. It has half the brightness of light without films, and
-    its shading.
-    """
-    crossed = capture.bands.get("white_crossed")
-    if crossed is None:
-        return capture
-    white = replace(capture.bands["white"], crossed=crossed)
-    if white.side is not None:
-        white = replace(white, side=replace(white.side, crossed=crossed.side))
-    return replace(capture, bands={**capture.bands, "white": white})
-
-
-def without_side_lights(capture: Capture) -> Capture:
-    """The capture whose white bands have the lights in front of the finger, and the others as their
-    `side`.
-
-    A light from the side leaves half of a finger, and valleys between ridges, in shadow: skin under
-    it looks like no surface under the lights in front. What is not skin, coloured lights, and
-    lights in mirrors stay as they are.
-    """
-    white = capture.bands["white"]
-    if capture.material != "skin" or capture.rig.mirrors or white.colours:
-        return capture
-    front = lights_in_front(capture.rig.select(white.leds))
-    if front.all() or front.sum() < IN_FRONT:
-        return capture
-    in_front = np.flatnonzero(front).tolist()
-    at_side = np.flatnonzero(~front).tolist()
-    parts = {
-        name: replace(band.of_images(in_front), side=band.of_images(at_side))
-        for name, band in capture.bands.items()
-        if name in {"white", "white_crossed"}
-    }
-    return replace(capture, bands={**capture.bands, **parts})
 
 
 def split_mosaic(
@@ -101,7 +64,7 @@ def split_mosaic(
     clips = np.zeros((rows // 2, columns // 2), dtype=np.bool_)
     for row, column in np.ndindex(2, 2):
         part = np.ascontiguousarray(mosaic.reshape(rows, columns)[row::2, column::2])
-        clips |= part >= 0.985 * full
+        clips |= part >= FULL_SCALE * full
         if colour:
             part = cv2.cvtColor(part, cv2.COLOR_BayerRGGB2RGB)
         shift = np.array([[1, 0, 0.25 - 0.5 * column], [0, 1, 0.25 - 0.5 * row]])
@@ -153,7 +116,8 @@ def findings_on_series(
     # shows from where each image was lit
     shading = [light / light.mean(axis=0) for light in series]
     likeness = np.corrcoef(*shading)[: len(parallel), len(parallel) :]
-    wrong = np.flatnonzero(np.diag(likeness) < likeness.max(axis=0) - AS_ALIKE)
+    # an LED halfway between two others matches both
+    wrong = np.flatnonzero(np.diag(likeness) < likeness.max(axis=0) - 0.1)
     if wrong.size == 0:
         return ()
     k = wrong[0]
@@ -195,24 +159,21 @@ def specular_picture(specular: FloatArray, mask: BoolArray, sigma_px: float) -> 
     return np.where(mask, detail / np.maximum(contrast, least), np.nan)
 
 
-def specular_of(capture: Capture, mask: BoolArray) -> FloatArray | None:
-    """The :func:`specular_picture` (H, W) of a capture of :func:`without_films` inside `mask`; None
-    without films."""
-    white = capture.bands["white"]
+def specular_of(white: Light, mask: BoolArray, px_per_mm: float) -> FloatArray | None:
+    """The :func:`specular_picture` (H, W) inside `mask` of white light that is the mean of two
+    series; None without films."""
     if white.crossed is None:
         return None
     rows, columns = bounding_box(mask)
     specular = np.zeros((rows.stop - rows.start, columns.stop - columns.start), dtype=np.float32)
-    for top in range(rows.start, rows.stop, CHUNK_ROWS):  # of all images a few rows at a time
-        window = (slice(top, min(top + CHUNK_ROWS, rows.stop)), columns)
-        both = replace(white, crossed=None), white.crossed
-        series = (linear_stack(band, capture.encoding, "grey", window) for band in both)
-        specular[top - rows.start : window[0].stop - rows.start] = separate_polarised(*series)[
-            0
-        ].mean(axis=0)
+    for top in range(rows.start, rows.stop, _ROWS):  # of all images a few rows at a time
+        window = (slice(top, min(top + _ROWS, rows.stop)), columns)
+        both = replace(white, crossed=None).at(1, window).grey, white.crossed.at(1, window).grey
+        difference = separate_polarised(*both)[0]
+        specular[top - rows.start : window[0].stop - rows.start] = difference.mean(axis=0)
     picture = np.full(mask.shape, np.nan, dtype=np.float32)
-    sigma_px = EVEN_MM * capture.rig.camera.px_per_mm
-    picture[rows, columns] = specular_picture(specular[None], mask[rows, columns], sigma_px)
+    even_px = 0.5 * px_per_mm  # about a ridge's period
+    picture[rows, columns] = specular_picture(specular[None], mask[rows, columns], even_px)
     return picture
 
 
@@ -228,9 +189,8 @@ def picture_bytes(picture: FloatArray) -> NDArray[np.uint8]:
 # that they leak.
 
 
-def aligned(capture: Capture) -> tuple[Capture, dict[str, Any]]:
-    """The capture whose crossed series has the place and the brightness of the parallel one, and
-    facts on its films.
+def aligned(crossed: Light, parallel: Light, films: Films) -> Light:
+    """The crossed series with the place and the brightness of the parallel one.
 
     The rig's films give both (:class:`splitknit.model.Films`). Without them the crossed series
     stays as it is: skin does not show its brightness, because light that is scattered once keeps
@@ -238,30 +198,23 @@ def aligned(capture: Capture) -> tuple[Capture, dict[str, Any]]:
     have 0.89 of the parallel ones' red light, and 0.83 of the green, even under the light that the
     surface reflects least. Raises BadInput if the rig's films were measured under other LEDs.
     """
-    parallel = capture.bands["white"]
-    crossed = capture.bands.get("white_crossed")
-    films = capture.rig.films
-    if crossed is None or films is None:
-        return capture, {} if crossed is None else {"films": "taken as ideal"}
-    brightness = np.array(films.brightness)[_lights(films, parallel)]
-    if crossed.pixels.shape[3] == 1:
+    brightness = np.array(films.brightness)[_lights(films, parallel.stored.leds)]
+    if not crossed.has_colour:
         brightness = brightness @ GREY_WEIGHTS[:, None]
     if films.shift_px != (0.0, 0.0) or films.scale != 1.0:
-        pixels = np.stack([undone(image, films).reshape(image.shape) for image in crossed.pixels])
-        crossed = replace(crossed, pixels=pixels)
-    crossed = replace(crossed, transmission=brightness)
-    return replace(capture, bands={**capture.bands, crossed.name: crossed}), {"films": "measured"}
+        place = crossed_place(films, crossed.shape)
+        crossed = crossed.moved_by([place] * crossed.photographs)
+    return crossed.divided_by(brightness)
 
 
-def contrast(capture: Capture, band: Band) -> Array:
+def contrast(films: Films | None, parallel: Light) -> Array:
     """(P - C) / (P + C) of parallel and crossed image (L,), for light that the surface reflects:
     the films leave `leak` of it (about 1 / extinction ratio + sin^2(angle error)) in the crossed
     one, P - C = (1 - 2 leak) M. Ideal films: 1.
     """
-    films = capture.rig.films
     if films is None:
-        return np.ones(len(band.leds))
-    return 1.0 - 2.0 * np.array(films.leak)[_lights(films, band)]
+        return np.ones(parallel.photographs)
+    return 1.0 - 2.0 * np.array(films.leak)[_lights(films, parallel.stored.leds)]
 
 
 def crossed_place(films: Films, shape: tuple[int, ...]) -> Array:
@@ -284,10 +237,10 @@ def undone(image: FloatArray, films: Films) -> FloatArray:
     )
 
 
-def _lights(films: Films, parallel: Band) -> list[int]:
-    """Entry of the films for every image."""
+def _lights(films: Films, groups: Sequence[Sequence[int]]) -> list[int]:
+    """Entry of the films for the LEDs of every image."""
     entries = []
-    for group in parallel.leds:
+    for group in groups:
         require(
             group[0] in films.leds,
             f"LED {group[0]} lights a polarised image, but "

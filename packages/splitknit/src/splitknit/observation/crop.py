@@ -7,11 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from splitknit.capture import Band, Capture
 from splitknit.errors import require
-from splitknit.imaging.band import Window, decode_table, flat_at, flat_light
-from splitknit.imaging.parameters import FLAT_BRIGHTEST
+from splitknit.imaging.light_field import flat_promised
+from splitknit.imaging.pixels import Window, coarse_grid
 from splitknit.imaging.view import lens_shading
-from splitknit.model import Band, Capture, Led, PixelArray, Rig, coarse_grid
+from splitknit.model import Led, PixelArray, Rig
+from splitknit.observation.stored import decode_table, flat_at, flat_light
 
 
 def cropped(capture: Capture, window: Window) -> Capture:
@@ -26,15 +28,15 @@ def cropped(capture: Capture, window: Window) -> Capture:
     require(not capture.rig.mirrors, "captures between mirrors cannot be cut.")
     bands = {}
     for name, band in capture.bands.items():
-        ambient = None if band.ambient is None else band.ambient[window]
-        flat = (
-            None
-            if band.flat is None and not band.shading
-            else _flat(band, capture.encoding, window)
-        )
-        bands[name] = replace(
-            band, pixels=band.pixels[:, *window], ambient=ambient, flat=flat, shading=()
-        )
+        ambient = band.ambient
+        if ambient is not None:
+            ambient = replace(ambient, pixels=ambient.pixels[window])
+        shading = capture.rig.camera.shading
+        flat = None
+        if band.flat is not None or shading:
+            flat = _flat(band, capture.rig, capture.encoding, window)
+        pixels = np.stack([image[window] for image in band.pixels])
+        bands[name] = replace(band, pixels=pixels, ambient=ambient, flat=flat)
     mask = None if capture.mask is None else capture.mask[window]
     return replace(
         capture, rig=_rig(capture.rig, window), bands=bands, mask=mask, truth=None, hashes={}
@@ -69,17 +71,19 @@ def _rig(rig: Rig, window: Window) -> Rig:
     return replace(rig, camera=small, leds=leds, films=films, provenance=provenance)
 
 
-def _flat(band: Band, encoding: str, window: Window) -> PixelArray:
-    """(L, h, w) flat images of the window, the lens's fall-off in them, as stored."""
+def _flat(band: Band, rig: Rig, encoding: str, window: Window) -> PixelArray:
+    """(L, h, w) flat images of the window, the lens's fall-off in them, as stored. Without flat
+    photographs, those that the rig promises, so that the lens alone is divided out.
+    """
     size = band.pixels.shape[1:3]
     corner = (window[0].start, window[1].start)
     shape = (window[0].stop - corner[0], window[1].stop - corner[1])
-    lens = lens_shading(band.shading, size, *corner, shape=shape)
-    light = (
-        np.ones((len(band.pixels), 2, 2), np.float32)
-        if band.flat is None
-        else flat_light(band, encoding)
-    )
+    lens = lens_shading(rig.camera.shading, size, *corner, shape=shape)
+    if band.flat is None:
+        coarse = (len(band.pixels), *(max(2, side // 4) for side in size))
+        light = flat_promised(rig.select(rig.lights_of(band.leds)), coarse)
+    else:
+        light = flat_light(band, encoding)
     exposed = np.stack(
         [coarse_grid(flat_at(image, size, corner, 1, shape) * lens) for image in light]
     )
@@ -87,7 +91,5 @@ def _flat(band: Band, encoding: str, window: Window) -> PixelArray:
     table = decode_table(np.dtype(np.uint16), encoding)
     full = np.iinfo(band.pixels.dtype).max
     black = np.interp(65535 / full * band.black_level, np.arange(table.size), table)[:, None, None]
-    return np.asarray(
-        np.searchsorted(table, black + (FLAT_BRIGHTEST - black) * exposed / exposed.max()),
-        dtype=np.uint16,
-    )
+    brightest = black + (0.9 - black) * exposed / exposed.max()  # of the full scale
+    return np.asarray(np.searchsorted(table, brightest), dtype=np.uint16)
