@@ -6,7 +6,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from splitknit.model import Camera, nominal_rig
+from splitknit.model import Camera
+from splitknit.nominal import nominal_rig
 from splitknit_simulator.calibration_set.bench import BenchSettings
 from splitknit_simulator.rigs import built_rig
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from perfect_results import write_perfect
 from splitknit.cli.main import main
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 FINGERS = (("S01", "left_thumb", 731), ("S01", "right_index", 732), ("S02", "right_index", 733))
@@ -28,23 +28,28 @@ def people(folder: Path) -> Path:
     return folder
 
 
-def facts_of(capsys, *arguments: object) -> dict:
+def run(command: str, *arguments: object) -> int:
+    """A command as it is typed, and words after it that may hold spaces."""
+    return main([*command.split(), *map(str, arguments)])
+
+
+def facts_of(capsys, command: str, *arguments: object) -> dict:
     """Facts of a verb that is done."""
-    assert main([*map(str, arguments), "--json"]) == 0
+    assert run(command, *arguments, "--json") == 0
     printed = capsys.readouterr()
     assert printed.err == ""
     return json.loads(printed.out)
 
 
-def words_of(capsys, *arguments: object) -> str:
+def words_of(capsys, command: str, *arguments: object) -> str:
     """What a verb that is done says to people."""
-    assert main([*map(str, arguments)]) == 0
+    assert run(command, *arguments) == 0
     return capsys.readouterr().out
 
 
-def refusal_of(capsys, *arguments: object) -> str:
+def refusal_of(capsys, command: str, *arguments: object) -> str:
     """The one sentence of a verb that refuses."""
-    assert main([*map(str, arguments)]) == 2
+    assert run(command, *arguments) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert len(printed.err.strip().splitlines()) == 1, printed.err

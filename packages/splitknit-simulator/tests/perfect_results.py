@@ -13,7 +13,8 @@ from splitknit.finger.orientation import Upright, find_upright
 from splitknit.finger.ridges import relief_print
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
-from splitknit.model import Camera, default_rig
+from splitknit.model import Camera
+from splitknit.nominal import default_rig
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 

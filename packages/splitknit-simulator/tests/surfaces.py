@@ -84,17 +84,14 @@ def perspective_camera(
 
 def perspective_plane(camera: Camera, z_mm: float, slope: float = 0.0) -> SimulatedSurface:
     """A flat sheet, z = z_mm + slope x, that fills the picture of a camera without distortion."""
-    rows, columns = np.indices(camera.image_size)
+    _, columns = np.indices(camera.image_size)
     assert camera.matrix is not None
-    right, up = (
-        (columns - camera.matrix[0, 2]) / camera.matrix[0, 0],
-        (camera.matrix[1, 2] - rows) / camera.matrix[1, 1],
-    )
+    right = (columns - camera.matrix[0, 2]) / camera.matrix[0, 0]
     depth = (camera.height_mm - z_mm) / (1.0 + slope * right)
-    x, y, z = (a.astype(np.float32) for a in (right * depth, up * depth, camera.height_mm - depth))
+    z = (camera.height_mm - depth).astype(np.float32)
     normals = np.zeros((*camera.image_size, 3), dtype=np.float32)
     normals[:] = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
     ones = np.ones(camera.image_size, dtype=np.float32)
     return SimulatedSurface(
-        camera, z, z, normals, normals, 0.0 * z, np.ones(z.shape, np.bool_), ones, x_mm=x, y_mm=y
+        camera, z, z, normals, normals, 0.0 * z, np.ones(z.shape, np.bool_), ones
     )

@@ -11,13 +11,15 @@ import pytest
 
 from enrolled import refusal_of
 from small_capture import edit
+from splitknit.capture import Band, Capture
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_channels, linear_stack
-from splitknit.imaging.coloured import COMPOSED, balanced, composed
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.rig import read_rig, write_rig
-from splitknit.model import CROSSTALK, Band, Camera, Capture, Led, Rig
+from splitknit.model import Camera, Led, Rig
+from splitknit.nominal import CROSSTALK
+from splitknit.observation.coloured import COMPOSED, balanced, composed
+from splitknit.observation.observe import observe
 from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS
 from splitknit.settings import override
@@ -53,20 +55,16 @@ def band_of(
         tuple(groups),
         np.ones(count),
         np.zeros(count),
-        colours=colours,
-        crosstalk=crosstalk,
     )
 
 
 def test_a_coloured_capture_is_written_and_read(twin, tmp_path):
     write_capture(twin, tmp_path / "c")
     read = read_capture(tmp_path / "c")
-    band = read.bands["white"]
-    assert band.pixels.shape[0] == 2
-    assert band.colours == twin.bands["white"].colours
-    np.testing.assert_array_equal(
-        linear_stack(band, "linear"), linear_stack(twin.bands["white"], "linear")
-    )
+    light = observe(read).white
+    assert light.photographs == 2
+    assert light.colours == observe(twin).white.colours
+    np.testing.assert_array_equal(light.grey, observe(twin).white.grey)
     assert [led.colour for led in read.rig.leds] == [led.colour for led in twin.rig.leds]
     result = reconstruct(read, "lin")
     assert result.mask.mean() > 0.1
@@ -131,10 +129,11 @@ def test_white_images_become_coloured_exposures(white):
     band = coloured.bands["white"]
     assert band.pixels.shape == (2, *white.shape, 3)
     assert band.pixels.dtype == np.uint16
-    colours = linear_channels(white.bands["white"], "linear", ("red", "green", "blue"))
-    stack = linear_stack(band, "linear")
+    colours = observe(white).white.stack
+    light = observe(coloured).white
+    stack = light.grey
     clipped = 0
-    for image, group in zip(stack, band.lights, strict=True):
+    for image, group in zip(stack, light.lights, strict=True):
         led = coloured.rig.leds[group[0]]
         places = [white_led.position_mm for white_led in white.rig.leds]
         source = colours[("red", "green", "blue").index(led.colour), places.index(led.position_mm)]
@@ -150,11 +149,11 @@ def test_white_images_become_coloured_exposures(white):
 
 
 def test_balanced_images_fit_a_matt_surface_better(twin):
-    band = twin.bands["white"]
-    lights = twin.rig.select(band.lights).light_vectors()
-    stack = linear_stack(band, "linear")
+    light = observe(twin).white
+    lights = light.rig.light_vectors()
+    stack = light.grey
     mask = stack.min(axis=0) > 0.05
-    even = balanced(stack, twin.rig, band, mask)
+    even = balanced(stack, light.rig, mask)
     left = []
     for images in (stack[:, mask], even[:, mask]):
         rest = images - lights @ (np.linalg.pinv(lights) @ images)
@@ -163,8 +162,11 @@ def test_balanced_images_fit_a_matt_surface_better(twin):
 
 
 def test_only_the_preset_lin_composes_and_balances_coloured_lights():
-    assert asdict(PRESETS["ea"])["lights"] == {"compose": 0, "balance": False}
-    assert asdict(PRESETS["lin"])["lights"] == {"compose": 2, "balance": True}
+    stated = {
+        preset: (PRESETS[preset].lights.compose, PRESETS[preset].lights.balance)
+        for preset in ("ea", "lin")
+    }
+    assert stated == {"ea": (0, False), "lin": (2, True)}
     assert asdict(override(PRESETS["ea"], {"lights.compose": 1}))["lights"]["compose"] == 1
 
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from splitknit.capture import Capture
 from splitknit.findings import Finding
-from splitknit.model import Capture
+from splitknit.observation.observe import observe
 from splitknit.pipeline import reconstruct
 
 
@@ -28,7 +29,9 @@ def drifts(
 @pytest.mark.slow
 def test_an_led_that_got_darker_is_named(twin_capture):
     drifted = drifts(twin_capture, {9: 1 / 0.9}, {"radiometry": {"calibrated": True}})
-    assert [finding.files for finding in drifted] == [(twin_capture.bands["nir"].image_names[2],)]
+    assert [finding.files for finding in drifted] == [
+        (observe(twin_capture).bands["nir"].image_names[2],)
+    ]
     assert "darker than at the calibration" in str(drifted[0])
 
 

@@ -15,13 +15,14 @@ import pytest
 import kinds
 from small_capture import copy_of, edit
 from splitknit.accuracy import compare
+from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image
 from splitknit.io.npz import read_npz
-from splitknit.model import Capture, Reconstruction, default_rig
+from splitknit.nominal import default_rig
 from splitknit.pipeline import reconstruct
-from splitknit.steps import Memory
+from splitknit.reconstruction import Reconstruction
 from splitknit_simulator.camera.sensor import SensorSettings
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.skin import SkinOptics
@@ -221,8 +222,8 @@ def test_the_tip_direction_of_a_file_is_used(tip_deg, capture, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def upright(capture: Capture, twin_memory: Memory) -> Reconstruction:
-    return reconstruct(capture, "ea", memory=twin_memory)
+def upright(capture: Capture) -> Reconstruction:
+    return reconstruct(capture, "ea")
 
 
 def tip_of(mask: np.ndarray, quarter_turns: int) -> tuple[float, float]:

@@ -11,9 +11,9 @@ import pytest
 
 from enrolled import facts_of, refusal_of
 from splitknit.accuracy import compare
+from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
-from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
 from splitknit_simulator.finger.finger import FingerPose
 from splitknit_simulator.rigs import MirrorSettings

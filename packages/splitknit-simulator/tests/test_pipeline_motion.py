@@ -12,6 +12,7 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.finger.steady import find_steady_finger
 from splitknit.io.capture import write_capture
+from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
 from splitknit.settings import override
 from splitknit_simulator.finger.motion import HandMotion
@@ -49,7 +50,9 @@ def steadied(capture, **changes):
     settings = override(
         preset_settings("ea"), {f"motion.{name}": value for name, value in changes.items()}
     )
-    return find_steady_finger(capture, settings)
+    light = observe(capture)
+    steady, finger = find_steady_finger(light, settings)
+    return light, steady, finger
 
 
 def correlation(result, truth):
@@ -87,8 +90,8 @@ def test_facts_state_the_measured_motion(moved, undone):
 @pytest.mark.slow
 def test_a_still_finger_is_unchanged(still, unmoved):
     capture, _ = still
-    same, finger = steadied(capture)
-    assert same is capture
+    light, same, finger = steadied(capture)
+    assert same is light
     assert "motion" not in finger.facts
     results = unmoved, reconstruct(capture, "ea", OFF)
     for name in ("height_mm", "ridge_mm", "normals", "albedo", "mask"):
@@ -97,9 +100,10 @@ def test_a_still_finger_is_unchanged(still, unmoved):
 
 @pytest.mark.slow
 def test_correct_off_changes_nothing_and_on_always_registers(still, moved):
-    assert steadied(moved[0], correct="off")[0] is moved[0]
-    registered, finger = steadied(still[0], correct="on")
-    assert registered is not still[0]
+    light, same, _ = steadied(moved[0], correct="off")
+    assert same is light
+    light, registered, finger = steadied(still[0], correct="on")
+    assert registered is not light
     assert max(finger.facts["motion_white"]["moved_mm"]) < 0.02
 
 
@@ -110,7 +114,7 @@ def test_too_much_motion_is_refused(moved, tmp_path, capsys):
         steadied(capture, most_mm=0.05)
     write_capture(capture, tmp_path / "capture", truth)
     out = tmp_path / "result"
-    command = ["reconstruct", str(tmp_path / "capture"), "--out", str(out), "--preset", "ea"]
+    command = f"reconstruct {tmp_path}/capture --out {out} --preset ea".split()
     assert main([*command, "--set", "motion.most_mm=0.05"]) == 2
     assert "at most 0.05 mm can be undone" in capsys.readouterr().err
     assert not out.exists()
@@ -122,7 +126,7 @@ def test_photographs_of_coloured_leds_are_registered():
     capture, truth = simulate_capture(
         4, "left_loop", TwinSettings(rig=coloured_rig(0.15, 0), motion=motion)
     )
-    _, finger = steadied(capture, correct="on")
+    *_, finger = steadied(capture, correct="on")
     told = finger.facts["motion_white"]
     count = len(capture.bands["white"].pixels)
     assert len(told["moved_mm"]) == count == 2

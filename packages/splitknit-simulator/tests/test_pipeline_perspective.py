@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splitknit.model import Camera, Capture, Reconstruction, default_rig
+from splitknit.capture import Capture
+from splitknit.model import Camera
+from splitknit.nominal import default_rig
 from splitknit.pipeline import reconstruct
+from splitknit.reconstruction import Reconstruction
 from splitknit_simulator.finger.finger import FingerPose
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
@@ -77,9 +80,10 @@ def test_points_of_a_perspective_camera_lie_at_their_true_places(photographed, r
 @pytest.mark.slow
 def test_lens_shading_is_divided_out(photographed, reconstructed):
     (capture, truth), kept = photographed, reconstructed
-    darker = {name: replace(band, shading=()) for name, band in capture.bands.items()}
-    assert all(band.shading == (-0.15, -0.05) for band in capture.bands.values())
-    lost = reconstruct(replace(capture, bands=darker), settings={"metric.rounds": 1})
+    camera = capture.rig.camera
+    assert camera.shading == (-0.15, -0.05)
+    clear = replace(capture.rig, camera=replace(camera, shading=()))
+    lost = reconstruct(replace(capture, rig=clear), settings={"metric.rounds": 1})
     rows, columns = np.nonzero(kept.mask)
     far = np.hypot(rows - capture.shape[0] / 2, columns - capture.shape[1] / 2)
     ratio = lost.albedo[kept.mask] / kept.albedo[kept.mask]

@@ -5,21 +5,18 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import weakref
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import splitknit
+from splitknit.capture import Capture
 from splitknit.io.capture import write_capture
 from splitknit.methods import metric
-from splitknit.model import Capture
 from splitknit.networks import unet
 from splitknit.skin import learned, shape
 from splitknit.skin.grid import Grid
-from splitknit.steps import Memory
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
@@ -77,29 +74,6 @@ def test_metric_computes_no_more_than_stated(capture, counts):
     assert counts["pixels of the relief network"] < 3 * 1.35 * pixels
     assert counts["pixels of the shape network"] < pixels
     assert counts["transforms"] <= 207
-
-
-@pytest.mark.slow
-def test_images_handed_over_are_released_before_the_surface(capture, monkeypatch):
-    kept = splitknit.reconstruct(capture, settings={"metric.relief": "colour", "metric.rounds": 1})
-    assert set(capture.bands) == {"white", "nir"}
-    bands = {name: replace(band, pixels=band.pixels.copy()) for name, band in capture.bands.items()}
-    copied = replace(capture, bands=bands)
-    pixels = [weakref.ref(band.pixels) for band in bands.values()]
-    seen = []
-    first = metric.metric_skin
-
-    def beginning(*arguments: object, **named: object) -> object:
-        seen.extend(reference() for reference in pixels)
-        return first(*arguments, **named)
-
-    monkeypatch.setattr(metric, "metric_skin", beginning)
-    memory = Memory(copied)
-    settings = {"metric.relief": "colour", "metric.rounds": 1}
-    del bands, copied
-    result = splitknit.reconstruct(memory.hand_over(), settings=settings, memory=memory)
-    assert seen == [None, None] and not memory._known  # nobody holds them any more
-    np.testing.assert_array_equal(result.height_mm, kept.height_mm)
 
 
 @pytest.mark.slow

@@ -9,8 +9,9 @@ import pytest
 
 import splitknit
 import splitknit_simulator
+from splitknit.capture import Capture
 from splitknit.io.npz import read_npz
-from splitknit.model import Capture, Led, Rig, camera_without_scale, vector_at_origin
+from splitknit.model import Led, Rig, camera_without_scale, vector_at_origin
 from splitknit.units import MILLIMETRES, pixels
 
 

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from splitknit.capture import Capture
 from splitknit.io.capture import read_capture, write_capture
-from splitknit.model import Capture
-from splitknit.steps import Memory
 from splitknit_simulator.finger import finger
 from splitknit_simulator.finger.finger import FingerPose
 from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
@@ -47,12 +46,6 @@ def twin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def twin_capture(twin_folder: Path) -> Capture:
     """It, read; not to be changed."""
     return read_capture(twin_folder)
-
-
-@pytest.fixture(scope="session")
-def twin_memory(twin_capture: Capture) -> Memory:
-    """What the cases of `twin_capture` share."""
-    return Memory(twin_capture)
 
 
 @pytest.fixture(scope="session")

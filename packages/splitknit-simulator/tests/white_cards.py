@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from splitknit.capture import Ambient, Band, Capture
 from splitknit.io.capture import write_capture
 from splitknit.io.images import write_image
-from splitknit.model import Band, Capture, Rig
+from splitknit.model import Rig
 from splitknit_simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.flat import CardScene
 from splitknit_simulator.camera.sensor import SensorSettings
@@ -76,8 +77,7 @@ def photograph(  # noqa: PLR0917
             leds=tuple(lit),
             exposure=np.full(len(own), exposure),
             black_level=np.zeros(len(own)),
-            ambient=shots[-1],
-            ambient_exposure=exposure,
+            ambient=Ambient(shots[-1], exposure),
         )
     return Capture(rig=stored, bands=bands, encoding=sensor.encoding, material="opaque")
 

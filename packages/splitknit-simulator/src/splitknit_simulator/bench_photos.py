@@ -13,15 +13,15 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from splitknit import Band, Camera, Capture, Led, Rig, write_capture, write_rig
+from splitknit import Ambient, Band, Camera, Capture, Led, Rig, write_capture, write_rig
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.targets import check_capture
-from splitknit.model import Films, PixelArray, Progress, no_progress, nominal_rig
+from splitknit.model import Films, PixelArray, Progress, no_progress
+from splitknit.nominal import nominal_rig
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.calibration_set.bench import (
     BenchSettings,
-    SightLines,
     photograph_bench,
     well_exposed,
 )
@@ -35,21 +35,13 @@ from splitknit_simulator.calibration_set.solids import (
     Lines,
     NailScene,
     SphereScene,
-    directions,
     mirrored,
     unit,
 )
 from splitknit_simulator.camera.device import LitScene
+from splitknit_simulator.camera.lens import SightLines
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.films import reflected_through
-from splitknit_simulator.parameters import (
-    BRIGHTEST_LEVEL,
-    CARD_EXPOSURES_S,
-    CROSSED_EXPOSURE_FACTOR,
-    NAIL_HEIGHT_MM,
-    NAIL_PLACES_MM,
-    PUPIL_MM,
-)
 from splitknit_simulator.rigs import built_rig
 from splitknit_simulator.surface import Array
 
@@ -68,6 +60,12 @@ class BenchPhotos(Checked):
     """Places of the nail, 1 to 4; at each it is photographed under every LED."""
     polarisers: bool = False
     """Also a printed card and a glossy black ball behind polarising films."""
+
+
+_NAIL_HEIGHT_MM = 13.0
+_PUPIL_MM = 1.6
+"""Diameter, as of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few
+pixels."""
 
 
 def bench_to_folder(
@@ -94,7 +92,7 @@ def bench_to_folder(
     ball = None
     if photos.polarisers:
         films, ball = drawn_films(
-            rig, np.random.SeedSequence([seed, 0xF1]), BenchSettings(aperture_mm=PUPIL_MM)
+            rig, np.random.SeedSequence([seed, 0xF1]), BenchSettings(aperture_mm=_PUPIL_MM)
         )
         rig = replace(rig, films=films)
     with atomic_folder(out, overwrite=overwrite) as target:
@@ -115,10 +113,14 @@ def bench_to_folder(
         "image_size": list(rig.camera.image_size),
         "board": f"{BOARD.columns}x{BOARD.rows}",
         "square_mm": BOARD.square_mm,
-        "nail_mm": NAIL_HEIGHT_MM,
+        "nail_mm": _NAIL_HEIGHT_MM,
         "boards": photos.boards,
         "nails": photos.nails,
     }
+
+
+_NAIL_PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
+"""Where nails stand, x and y: all shadows stay in a picture of 42 x 29 mm."""
 
 
 def _jobs(
@@ -128,7 +130,7 @@ def _jobs(
     under: dict[str, Any] = {
         "camera": rig.camera,
         "leds": rig.leds,
-        "bench": BenchSettings(aperture_mm=PUPIL_MM),
+        "bench": BenchSettings(aperture_mm=_PUPIL_MM),
     }
     white = [k for k, led in enumerate(rig.leds) if led.band == "white"]
     of_boards, of_plane, of_nails, of_card = seeds.spawn(4)
@@ -145,10 +147,14 @@ def _jobs(
     plane = BoardScene(**under, board=BOARD, rotation_vector=(float(turn[0]), float(turn[1]), 0.0))
     yield "plane", partial(_one, plane, white, of_plane.spawn(1)[0], Path("plane.png"))
     under["tilt_deg"] = tilt
-    for n, place in enumerate(NAIL_PLACES_MM[: photos.nails]):
-        nail = NailScene(**under, position_mm=place, nail_mm=NAIL_HEIGHT_MM)
+    for n, place in enumerate(_NAIL_PLACES_MM[: photos.nails]):
+        nail = NailScene(**under, position_mm=place, nail_mm=_NAIL_HEIGHT_MM)
         yield "nail", partial(_series, nail, of_nails.spawn(1)[0], Path("nail") / f"nail_{n}")
     yield "card", partial(_card, CardScene(**under), rig, of_card)
+
+
+_BRIGHTEST_LEVEL = 0.9
+"""Fraction of full scale that the brightest light reaches in the longest exposure of the card."""
 
 
 def behind_films(
@@ -164,9 +170,8 @@ def behind_films(
     away, folder = behind_analyser(rig.camera, rig.films), Path("polarisers")
     series: dict[str, LitScene] = {"white": card, "white_crossed": replace(card, camera=away)}
     yield "card", partial(_polarised, series, rig, seed.spawn(1)[0], np.inf, folder / "card")
-    longest = (
-        CROSSED_EXPOSURE_FACTOR * BRIGHTEST_LEVEL / float(ball.light([rig.films.leds[0]]).max())
-    )
+    # behind a crossed analyser the ball is exposed up to 64 times longer than to that level
+    longest = 64.0 * _BRIGHTEST_LEVEL / float(ball.light([rig.films.leds[0]]).max())
     series = {"white": ball, "white_crossed": replace(ball, camera=away, analyser_deg=90.0)}
     yield "ball", partial(_polarised, series, rig, seed.spawn(1)[0], longest, folder / "ball")
 
@@ -233,6 +238,10 @@ def _series(scene: LitScene, seed: np.random.SeedSequence, folder: Path, target:
             write_image(target / folder / f"{band}_{number}.png", pixels)
 
 
+_CARD_EXPOSURES_S = (0.002, 0.004, 0.006, 0.008, 0.010, 0.012)
+"""Of the series of the white card, which shows the sensor's response."""
+
+
 def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, target: Path) -> None:
     """A capture folder of the card, and an exposure series."""
     bands = {}
@@ -244,16 +253,16 @@ def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, target: Path
             for k in members
         ]
         ambient = photograph_bench(scene, [], seed.spawn(1)[0], exposure=exposure, band=name)
-        bands[name] = _band(name, images, members, [1.0] * len(members), ambient=ambient)
+        bands[name] = _band(name, images, members, [1.0] * len(members), ambient=Ambient(ambient))
     # the folder's rig is the one that is known before the calibration: the drawing's
     drawn = replace(nominal_rig(rig.camera.image_size[0] / 2200), provenance={"source": "as drawn"})
     folder = target / "card"
     write_capture(Capture(rig=drawn, bands=bands, material="opaque"), folder, overwrite=True)
     steps = []
-    brightest = well_exposed(scene, [[0]], BRIGHTEST_LEVEL)
-    for k, seconds in enumerate(CARD_EXPOSURES_S):
+    brightest = well_exposed(scene, [[0]], _BRIGHTEST_LEVEL)
+    for k, seconds in enumerate(_CARD_EXPOSURES_S):
         pixels = photograph_bench(
-            scene, [0], seed.spawn(1)[0], exposure=brightest * seconds / CARD_EXPOSURES_S[-1]
+            scene, [0], seed.spawn(1)[0], exposure=brightest * seconds / _CARD_EXPOSURES_S[-1]
         )
         write_image(folder / f"step_{k}.png", pixels)
         steps.append({"file": f"step_{k}.png", "exposure_s": seconds})
@@ -282,7 +291,7 @@ class BlackBallScene(SphereScene):
     def _mirrored(
         self, leds: tuple[Led, ...], lines: SightLines, seen: Lines, reflectance: float
     ) -> Array:
-        rays, view = mirrored(lines, seen), -directions(lines)
+        rays, view = mirrored(lines, seen), lines.towards_camera
         image = self._matt(leds, *seen, reflectance)
         for led in leds:
             face = self._led_in_mirror(led, lines, rays)

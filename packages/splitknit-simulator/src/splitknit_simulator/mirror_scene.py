@@ -11,6 +11,7 @@ from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray, PixelArray
 from splitknit_simulator.light.lighting import (
+    LED_RADIUS_MM,
     Patch,
     cut_out,
     finger_window,
@@ -18,7 +19,6 @@ from splitknit_simulator.light.lighting import (
     light_on,
     white_card,
 )
-from splitknit_simulator.light.parameters import LED_RADIUS_MM
 from splitknit_simulator.light.renderer import (
     BandLight,
     Relief,
@@ -34,16 +34,9 @@ from splitknit_simulator.mirror_view import (
     lights_of,
     outline_coverage,
 )
-from splitknit_simulator.parameters import (
-    BACKGROUND_MM,
-    GLASS_ALBEDO,
-    LID_FRACTION,
-    PLASTIC_ALBEDO,
-    STRAY_FRACTION,
-    TUBE_RADIUS_MM,
-)
 from splitknit_simulator.rigs import holder_profile, holder_quad
 from splitknit_simulator.scene import (
+    BACKGROUND_MM,
     Scene,
     Taken,
     TwinSettings,
@@ -65,13 +58,15 @@ def _light_through(
         with np.errstate(divide="ignore", invalid="ignore"):
             parts = light_on(patch, light.led, roughness, LED_RADIUS_MM)
         fraction = (
-            1
-            if light.gate is None
-            else light.gate.fraction(patch.x, patch.y, patch.z, light.led, LED_RADIUS_MM)
+            1 if light.gate is None else light.gate.fraction(patch.points, light.led, LED_RADIUS_MM)
         )
         entering += parts[0] * fraction
         gloss += parts[1] * fraction
     return entering, gloss
+
+
+_PLASTIC_ALBEDO = 0.04
+"""Black print: the mirrors' holders and the tube around the finger."""
 
 
 class MirrorScene:
@@ -108,7 +103,7 @@ class MirrorScene:
                 mask[plate.coverage.window] &= plate.coverage.fraction < 0.5
             self.masks.append(mask)
             require(
-                bool(self.masks[-1].any()),
+                self.masks[-1].any(),
                 f"the lip of the {view.mirror.name} mirror's holder hides the finger; lift it or"
                 " lower the mirror.",
             )
@@ -167,12 +162,14 @@ class MirrorScene:
         for view, plates, light in zip(self.views, self.frames, sides, strict=True):
             # (H, W, 3) radiance of what a mirror shows behind the finger
             above = np.array([0.0, 0.0, 1.0])
-            wall = plates.wall.radiance(
-                led
-            ) + STRAY_FRACTION * plates.wall.albedo / np.pi * _received(led, np.zeros(3), above)
+            # a tenth of the LED's light reaches the tube by way of other things
+            wall = plates.wall.radiance(led) + 0.1 * plates.wall.albedo / np.pi * _received(
+                led, np.zeros(3), above
+            )
             content = np.full((*camera.image_size, 3), wall, dtype=np.float32)
             for cover in plates.opposite:
-                _blend(content, cover, np.float32(LID_FRACTION * wall))
+                # what hangs above the finger sends a fifth of the tube's light
+                _blend(content, cover, np.float32(0.2 * wall))
             inside = content
             _put(inside, view.surface, light.window, light.diffuse[k] + light.glare[k])
             self._over(
@@ -235,7 +232,7 @@ class MirrorScene:
             light = render_ambient(
                 view.surface, level, self.skin.medium(name), self.settings.render, up
             )
-            inside = np.full_like(frame, np.float32(0.5 * level * PLASTIC_ALBEDO))
+            inside = np.full_like(frame, np.float32(0.5 * level * _PLASTIC_ALBEDO))
             _put(inside, view.surface, finger_window(view.surface), light)
             self._over(frame, (view, plates), inside, lambda plate: level * plate.albedo)
         return frame
@@ -292,7 +289,7 @@ def _mirror_frame(view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera
     def quad(line: str) -> Array:
         return holder_quad(name, camera, *profile[line])
 
-    def plate(line: str, albedo: float = PLASTIC_ALBEDO) -> _Plate:
+    def plate(line: str, albedo: float = _PLASTIC_ALBEDO) -> _Plate:
         corners = quad(line)
         return _Plate(
             outline_coverage(camera, corners),
@@ -311,9 +308,9 @@ def _mirror_frame(view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera
         for mirror in mirrors
         if mirror.name != name
     )
-    middle = np.append(TUBE_RADIUS_MM * inwards[:2], -5.0)
-    wall = _Plate(view.coverage, middle, -inwards, PLASTIC_ALBEDO)
-    holder = plate("glass", GLASS_ALBEDO), plate("back")
+    middle = np.append(52.0 * inwards[:2], -5.0)  # mm; the tube's inner radius
+    wall = _Plate(view.coverage, middle, -inwards, _PLASTIC_ALBEDO)
+    holder = plate("glass", 0.12), plate("back")  # the edge is ground
     return _Frame(holder, lip, reflected, opposite, wall)
 
 

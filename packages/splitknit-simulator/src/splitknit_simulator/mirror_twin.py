@@ -26,15 +26,8 @@ from splitknit_simulator.finger.skin_map import SkinMap, skin_map
 from splitknit_simulator.light.skin import SkinOptics
 from splitknit_simulator.mirror_scene import MirrorScene
 from splitknit_simulator.mirror_view import ReflectedView, as_built, mirror_view
-from splitknit_simulator.parameters import (
-    MAP_AROUND_MM,
-    MAP_OVER_TIP_MM,
-    MIRROR_INSERTION_MM,
-    RIDGE_FADE_MM,
-    TRUTH_PROXIMAL_MM,
-)
 from splitknit_simulator.rigs import mirror_rig, stop_y_mm
-from splitknit_simulator.scene import TwinSettings, surface_truth, take_capture
+from splitknit_simulator.scene import TwinSettings, places_truth, surface_truth, take_capture
 from splitknit_simulator.surface import Array
 
 
@@ -63,7 +56,7 @@ def poses_between_mirrors(ranges: PoseRanges, settings: TwinSettings, camera: Ca
     if settings.rig is not None or ranges.insertion_mm != PoseRanges().insertion_mm:
         return ranges
     stop = stop_y_mm(camera) - picture_on_plane(camera)[1]
-    low, high = MIRROR_INSERTION_MM
+    low, high = 28.7, 30.3  # mm, from the lower image border to the tip; cut to the tip's stop
     return replace(ranges, insertion_mm=(min(low, stop), min(high, stop)))
 
 
@@ -127,9 +120,8 @@ def _bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinM
     # faint there
     limit = min(float(body.distance_and_chart(*edge)[1][0]), -skin.u0_mm - 0.5)
     reach = shape.length_mm - shape.tip_length_mm
-    around, over_tip = (
-        int(np.ceil(wide / skin.pitch_mm)) for wide in (MAP_AROUND_MM, MAP_OVER_TIP_MM)
-    )
+    # how far the skin's map exceeds the master print, to either side and beyond the tip, in mm
+    around, over_tip = (int(np.ceil(wide / skin.pitch_mm)) for wide in (12.0, 10.0))
     grown = ((over_tip, 0), (around, around))
     coefficients = np.asarray(np.pad(skin.coefficients, grown, mode="reflect"), dtype=np.float64)
     pigment = np.asarray(np.pad(skin.pigment, grown, mode="reflect"), dtype=np.float32)
@@ -138,7 +130,7 @@ def _bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinM
     across = u0 + skin.pitch_mm * np.arange(columns)
     beyond = np.maximum(v0 - skin.pitch_mm * np.arange(rows) - reach, 0.0)
     arc = np.hypot(across[None, :], beyond[:, None])
-    fraction = np.clip(0.5 - (arc - limit) / RIDGE_FADE_MM, 0.0, 1.0)
+    fraction = np.clip(0.5 - (arc - limit) / 3.0, 0.0, 1.0)  # ridges fade over 3 mm
     fraction = fraction * fraction * (3.0 - 2.0 * fraction)
     shaded = np.asarray(1.0 - fraction * (1.0 - pigment), dtype=np.float32)
     return replace(skin, coefficients=coefficients * fraction, pigment=shaded, u0_mm=u0, v0_mm=v0)
@@ -153,7 +145,7 @@ def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None
     points = points @ placement.rotation.T + placement.shift
     gap = (points - mirror.point_mm) @ mirror.normal
     require(
-        bool(gap.min() > 0.3),
+        gap.min() > 0.3,
         f"the finger touches the {mirror.name} mirror; move the finger away or set the mirror"
         " further off.",
     )
@@ -178,8 +170,7 @@ def _view_truth(
             "normals": (surface.normals, 0.0),
             "relief_um": (surface.relief_um, 0.0),
             "chart_mm": (surface.chart, np.nan),
-            "x_mm": (surface.x_mm, np.nan),
-            "y_mm": (surface.y_mm, np.nan),
+            **{name: (place, np.nan) for name, place in places_truth(surface).items()},
         }
         truth[f"view_{mirror.name}_mask"] = mask
         for key, (array, empty) in arrays.items():
@@ -202,7 +193,7 @@ def _body_truth(
     finger's +x.
     """
     shape = body.shape
-    along = np.arange(-TRUTH_PROXIMAL_MM, shape.length_mm, pitch_mm)
+    along = np.arange(-6.0, shape.length_mm, pitch_mm)  # from 6 mm beyond the first crease
     around = 2 * max(8, round(0.5 * 2.0 * np.pi * 0.5 * shape.width_mm / pitch_mm))
     angle = (np.arange(around) + 0.5) / around * 2.0 * np.pi - np.pi
     y, theta = (grid.ravel() for grid in np.meshgrid(along, angle, indexing="ij"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,25 +14,13 @@ from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.camera.lens import pixels_of_points
 from splitknit_simulator.finger.raycast import (
-    CoarseHits,
     PlacedFinger,
     Placement,
-    cast_rays,
-    coarse_hits,
-    fill_surface,
-    rays_of,
+    surface_of,
 )
-from splitknit_simulator.parameters import (
-    COVERAGE_SAMPLES,
-    MIRROR_SHIFT_MAX_MM,
-    MIRROR_TURN_MAX_DEG,
-    REFLECTION_MARGIN_MM,
-    SHOWN_PROXIMAL_MM,
-)
+from splitknit_simulator.light.lighting import Vectors
 from splitknit_simulator.rigs import SIDES, MirrorSettings
 from splitknit_simulator.surface import Array, SimulatedSurface
-
-Numbers = NDArray[np.floating]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,11 +68,10 @@ class _Gate:
         """The same outline behind a mirror."""
         return _Gate(reflection.points(self.corners))
 
-    def fraction(
-        self, x: Numbers, y: Numbers, z: Numbers, led: Led, radius_mm: float
-    ) -> NDArray[np.float32]:
+    def fraction(self, points: Vectors, led: Led, radius_mm: float) -> NDArray[np.float32]:
         """Fraction of an LED's face, of `radius_mm`, that points see through the outline: 0 to 1,
         their shape."""
+        x, y, z = points
         middle, normal, inwards = self._frame()
         near = led.position_mm is not None
         source = np.asarray(led.position_mm if near else led.direction, dtype=np.float64)
@@ -154,12 +140,9 @@ def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tup
         rng = np.random.default_rng(
             np.random.SeedSequence([seed, 0x3117, SIDES.index(mirror.name)])
         )
-        turn = np.clip(
-            views.turn_sd_deg * rng.standard_normal(3), -MIRROR_TURN_MAX_DEG, MIRROR_TURN_MAX_DEG
-        )
-        shift = np.clip(
-            views.shift_sd_mm * rng.standard_normal(3), -MIRROR_SHIFT_MAX_MM, MIRROR_SHIFT_MAX_MM
-        )
+        # larger turns (deg) and shifts (mm), about or along any axis, are cut
+        turn = np.clip(views.turn_sd_deg * rng.standard_normal(3), -3.0, 3.0)
+        shift = np.clip(views.shift_sd_mm * rng.standard_normal(3), -2.0, 2.0)
         rotation = np.asarray(cv2.Rodrigues(np.deg2rad(turn))[0], dtype=np.float64)
         middle = mirror.point_mm
         corners = (np.asarray(mirror.corners_mm) - middle) @ rotation.T + middle + shift
@@ -215,11 +198,12 @@ def mirror_view(
     behind = replace(finger, placement=reflection.placement(finger.placement))
     coverage = outline_coverage(camera, np.asarray(mirror.corners_mm))
     require(
-        bool((coverage.fraction >= 0.5).any()),
+        (coverage.fraction >= 0.5).any(),
         f"the {mirror.name} mirror lies outside the picture; lower px_per_mm or make image_size"
         " larger.",
     )
-    margin = int(np.ceil(REFLECTION_MARGIN_MM * camera.px_per_mm))
+    # skin is rendered beyond the mirror's outline, since light diffuses across it
+    margin = int(np.ceil(3.0 * camera.px_per_mm))
     rows, columns = (
         slice(max(part.start - margin, 0), min(part.stop + margin, length))
         for part, length in zip(coverage.window, camera.image_size, strict=True)
@@ -227,10 +211,14 @@ def mirror_view(
     surface = _surface(behind, camera, (rows, columns), workers)
     view = ReflectedView(mirror, reflection, surface, coverage)
     require(
-        bool(view.mask.any()),
+        view.mask.any(),
         f"the {mirror.name} mirror shows nothing of the finger; move the finger or the mirror.",
     )
     return view
+
+
+_COVERAGE_SAMPLES = 8
+"""Across a pixel in which a flat outline's coverage is counted. Chosen on: speed."""
 
 
 def outline_coverage(camera: Camera, corners: Array) -> Coverage:
@@ -248,12 +236,16 @@ def outline_coverage(camera: Camera, corners: Array) -> Coverage:
     width, height = (int(size) for size in last - first)
     if width == 0 or height == 0:
         return Coverage(window, np.zeros((height, width), dtype=np.float32))
-    fine = np.zeros((height * COVERAGE_SAMPLES, width * COVERAGE_SAMPLES), dtype=np.uint8)
-    # pixel centres are whole numbers; the fine grid's are at (k + 0.5) / COVERAGE_SAMPLES - 0.5
-    points = (np.stack([column, row], axis=1) - first + 0.5) * COVERAGE_SAMPLES - 0.5
+    fine = np.zeros((height * _COVERAGE_SAMPLES, width * _COVERAGE_SAMPLES), dtype=np.uint8)
+    # pixel centres are whole numbers; the fine grid's are at (k + 0.5) / _COVERAGE_SAMPLES - 0.5
+    points = (np.stack([column, row], axis=1) - first + 0.5) * _COVERAGE_SAMPLES - 0.5
     cv2.fillPoly(fine, [np.rint(points * 256).astype(np.int32)], 1, cv2.LINE_8, 8)
     covered = cv2.resize(fine.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
     return Coverage(window, np.asarray(covered, dtype=np.float32))
+
+
+_SHOWN_PROXIMAL_MM = 32.0
+"""From the first crease towards the palm, where the hand's sleeve begins."""
 
 
 def _surface(
@@ -267,32 +259,10 @@ def _surface(
         [
             (x, y, z)
             for x in (-half, half)
-            for y in (-SHOWN_PROXIMAL_MM, shape.length_mm + 2.0)
+            for y in (-_SHOWN_PROXIMAL_MM, shape.length_mm + 2.0)
             for z in (-half, half)
         ]
     )
     heights = corners @ placement.rotation[2] + placement.shift[2]
     bottom, top = float(heights.min()) - 2.0, float(heights.max()) + 2.0
-    near = _near(coarse_hits(body, placement, camera, box, top), box)
-    across = np.arange(box[1].start, box[1].stop)
-
-    def cast(down: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[Any]]:
-        wanted = np.flatnonzero(near[down[0] - box[0].start : down[-1] + 1 - box[0].start].ravel())
-        if wanted.size == 0:
-            return wanted, []
-        rays = rays_of(camera, down, across).some(wanted)
-        index, values = cast_rays(finger, rays, np.full(wanted.size, top), bottom=bottom)
-        _, along, _ = placement.to_finger(
-            *rays.some(index).at(np.asarray(values[0], dtype=np.float64))
-        )
-        bare = along > -SHOWN_PROXIMAL_MM
-        return wanted[index[bare]], [value[bare] for value in values]
-
-    return fill_surface(camera, box, cast, workers)
-
-
-def _near(hits: CoarseHits, box: tuple[slice, slice]) -> BoolArray:
-    """Pixels of the box near which the finger is seen: (h, w)."""
-    wide = cv2.dilate(hits.seen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    fine = np.repeat(np.repeat(wide, hits.step, axis=0), hits.step, axis=1)
-    return fine[: box[0].stop - box[0].start, : box[1].stop - box[1].start]
+    return surface_of(finger, camera, box, (top, bottom), workers, reach_mm=_SHOWN_PROXIMAL_MM)

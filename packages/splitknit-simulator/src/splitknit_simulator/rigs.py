@@ -1,7 +1,7 @@
 """Rigs that the simulator photographs with: as a person builds them, with coloured LEDs, with
 mirrors.
 
-The rig as it is drawn is :func:`splitknit.model.default_rig`.
+The rig as it is drawn is :func:`splitknit.nominal.default_rig`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
-from splitknit.model import (
-    COLOURS,
+from splitknit.model import COLOURS
+from splitknit.nominal import (
     CROSSTALK,
     HALF_ANGLE_DEG,
     default_rig,
@@ -26,20 +26,6 @@ from splitknit.model import (
     shared_exposures,
 )
 from splitknit.settings import Checked, Limits, check_fields
-from splitknit_simulator.parameters import (
-    CAMERA_HEIGHT_SD_MM,
-    CAMERA_SHIFT_SD_MM,
-    CAMERA_TILT_SD_DEG,
-    COLOURED_INTENSITY_SD,
-    CORNER_DISTORTION,
-    CORNER_VIGNETTING,
-    FOCAL_LENGTH_SD,
-    LED_BEAM_SD_DEG,
-    LED_HALF_ANGLE_SD,
-    LED_INTENSITY_SD,
-    LED_POSITION_SD_MM,
-    PRINCIPAL_POINT_SD,
-)
 
 Array = NDArray[np.float64]
 
@@ -65,7 +51,8 @@ def with_side_lights(rig: Rig, count: int) -> Rig:
     return replace(rig, leds=(*rig.leds, *added))
 
 
-# As a person builds it: printed parts, common LEDs, a small lens, nothing in place.
+# As a person builds it: printed parts, common LEDs, a small lens, nothing in place. Numbers are
+# standard deviations.
 
 
 def built_rig(seed: int, *, scale: float = 1.0) -> Rig:
@@ -80,8 +67,8 @@ def built_rig(seed: int, *, scale: float = 1.0) -> Rig:
     drawn = nominal_rig(scale)
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB1]))
     camera = _built_camera(drawn.camera, rng)
-    shift = np.array([*(CAMERA_SHIFT_SD_MM * _normal(rng, 2)), 0.0])
-    tilt_deg = CAMERA_TILT_SD_DEG * _normal(rng, 2)
+    shift = np.array([*(0.3 * _normal(rng, 2)), 0.0])  # the play of the camera's screws
+    tilt_deg = 0.3 * _normal(rng, 2)  # 0.15 mm over a seat of 25 mm
     # seen from the camera, which is oblique in its seat beside the LEDs, all the rest is turned
     # about the camera
     turn = np.asarray(cv2.Rodrigues(np.array([*np.deg2rad(tilt_deg), 0.0]))[0], dtype=np.float64)
@@ -97,21 +84,26 @@ def _built_camera(drawn: Camera, rng: np.random.Generator) -> Camera:
     rows, columns = drawn.image_size
     focal, height, *offset = _normal(rng, 4)
     distortion, vignetting = rng.random(2)
-    focal_px = float(drawn.matrix[0, 0]) * (1.0 + FOCAL_LENGTH_SD * focal)
-    height_mm = drawn.height_mm + CAMERA_HEIGHT_SD_MM * height
-    middle = np.array([columns - 1, rows - 1]) / 2 + PRINCIPAL_POINT_SD * columns * np.array(offset)
+    # board lenses are stated to 1 or 2 %, and turning them for focus changes it
+    focal_px = float(drawn.matrix[0, 0]) * (1.0 + 0.01 * focal)
+    # 0.2 mm of the print, and the pupil's place in the lens, which its drawing lacks
+    height_mm = drawn.height_mm + 0.5 * height
+    # a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide
+    middle = np.array([columns - 1, rows - 1]) / 2 + 0.005 * columns * np.array(offset)
     matrix = np.array([[focal_px, 0.0, middle[0]], [0.0, focal_px, middle[1]], [0.0, 0.0, 1.0]])
     # squared tangent of the field angle at the corners
     corner2 = (rows**2 + columns**2) / (4.0 * focal_px**2)
-    low, high = CORNER_VIGNETTING
+    # light lost at the corners beside the cosine law: small lenses cut oblique beams
+    low, high = 0.10, 0.20
     lost = low + (high - low) * vignetting
     return replace(
         drawn,
         px_per_mm=float(focal_px / height_mm),
         height_mm=float(height_mm),
         matrix=matrix,
+        # long lenses shift the corners by less than 1 %
         distortion=(
-            float(CORNER_DISTORTION * (2.0 * distortion - 1.0) / corner2),
+            float(0.005 * (2.0 * distortion - 1.0) / corner2),
             0.0,
             0.0,
             0.0,
@@ -122,26 +114,35 @@ def _built_camera(drawn: Camera, rng: np.random.Generator) -> Camera:
     )
 
 
+_LED_POSITION_SD_MM = 0.7
+"""Standard deviation of a built LED's position, per axis: a printed hole is 0.2 to 0.3 mm off, a 5
+mm LED's collar rocks in its seat, and its die is up to 0.3 mm off its lens's axis and 1 mm along it
+from lot to lot."""
+
+
 def _built_led(
     drawn: Led, rng: np.random.Generator, seen_from_camera: tuple[Array, Array, Array]
 ) -> Led:
     turn, seat, shift = seen_from_camera
-    position = np.asarray(drawn.position_mm) + LED_POSITION_SD_MM * _normal(rng, 3) + shift
+    position = np.asarray(drawn.position_mm) + _LED_POSITION_SD_MM * _normal(rng, 3) + shift
     position = turn @ (position - seat) + seat
-    first, second = np.tan(np.deg2rad(LED_BEAM_SD_DEG * _normal(rng, 2)))
+    # data sheets allow +-5 deg between beam and package (2 as a deviation); the seat adds 0.5
+    first, second = np.tan(np.deg2rad(2.0 * _normal(rng, 2)))
     aim = turn @ drawn.axis
     across = np.cross(aim, (0.0, 0.0, 1.0))
     across /= np.linalg.norm(across)
     aim = aim + first * across + second * np.cross(aim, across)
     aim /= np.linalg.norm(aim)
     half_angle, intensity = _normal(rng, 2)
-    angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + LED_HALF_ANGLE_SD * half_angle)
+    # lots of one type differ by 5 to 10 %
+    angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + 0.08 * half_angle)
     return replace(
         drawn,
         position_mm=(float(position[0]), float(position[1]), float(position[2])),
         aim=(float(aim[0]), float(aim[1]), float(aim[2])),
         lobe_exponent=round(lobe_exponent(angle), 6),
-        intensity=round(float(1.0 + LED_INTENSITY_SD * intensity), 6),
+        # one brightness bin spans a factor of 1.4; 5 % resistors add to it
+        intensity=round(float(1.0 + 0.1 * intensity), 6),
     )
 
 
@@ -175,7 +176,8 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, exposures: int = 2
         azimuth = 2.0 * np.pi * k / count
         position = (float(52.5 * np.cos(azimuth)), float(52.5 * np.sin(azimuth)), 140.0)
         intensity = round(
-            float(CURRENTS[colours[k]] * (1.0 + COLOURED_INTENSITY_SD * deviation)), 6
+            float(CURRENTS[colours[k]] * (1.0 + 0.1 * deviation)),  # 10 %, as of the white LEDs
+            6,
         )
         leds.append(Led(band="white", position_mm=position, intensity=intensity, colour=colours[k]))
     camera = replace(plain.camera, crosstalk=np.array(CROSSTALK))

@@ -14,9 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Band, Camera, Capture, Led, Rig
+from splitknit import Ambient, Band, Camera, Capture, Led, Rig
+from splitknit.capture import spectral_band
 from splitknit.errors import require
-from splitknit.model import COLOURS, FloatArray, PixelArray, spectral_band
+from splitknit.model import COLOURS, FloatArray, PixelArray
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
@@ -39,7 +40,6 @@ from splitknit_simulator.light.renderer import (
     render_band,
 )
 from splitknit_simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinOptics, SkinRanges
-from splitknit_simulator.parameters import BACKGROUND_MM, SHADED_ROWS, SPECK_ALBEDO
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.surface import SimulatedSurface
 
@@ -70,7 +70,7 @@ def background_albedo(
     albedo = np.full((height, width), settings.albedo, dtype=np.float32)
     area_cm2 = height * width / (10.0 * camera.px_per_mm) ** 2
     for _ in range(int(rng.poisson(settings.dust_per_cm2 * area_cm2))):
-        _speck(albedo, camera.px_per_mm, SPECK_ALBEDO, rng)
+        _speck(albedo, camera.px_per_mm, 0.3, rng)
     return albedo
 
 
@@ -176,13 +176,20 @@ def surface_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
         "relief_um": surface.relief_um,
         "pitch_mm": np.array(surface.camera.pitch_mm),
     }
-    if surface.x_mm is not None and surface.y_mm is not None:
-        truth |= {"x_mm": surface.x_mm, "y_mm": surface.y_mm} | _flat(
-            "camera", asdict(surface.camera)
-        )
+    truth |= places_truth(surface)
+    if surface.camera.model == "perspective":
+        truth |= _flat("camera", asdict(surface.camera))
     if surface.coat is not None:
         truth |= surface.coat.truth()
     return truth | _flat("landmark", surface.landmarks)
+
+
+def places_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
+    """(H, W) x and y of the skin's points under a perspective camera; the grid gives the others."""
+    if surface.camera.model == "orthographic":
+        return {}
+    x, y, _ = surface.sight().at(surface.height_mm)
+    return {"x_mm": x.astype(np.float32), "y_mm": y.astype(np.float32)}
 
 
 def optics_truth(skin: SkinOptics) -> dict[str, NDArray[Any]]:
@@ -212,6 +219,11 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     return result
 
 
+BACKGROUND_MM = 10.0  # below the finger plane
+_SHADED_ROWS = 0.25
+"""Fraction of the frame's rows, from the last one, in the hand's shadow."""
+
+
 class Scene:
     """One finger in front of the camera."""
 
@@ -231,7 +243,7 @@ class Scene:
         }
         # (H, 1) fraction of the light that reaches each row
         height = rig.camera.image_size[0]
-        below = (np.arange(height) / (height - 1) - (1.0 - SHADED_ROWS)) / (0.3 * SHADED_ROWS)
+        below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
         fraction = np.clip(below, 0.0, 1.0)
         smooth = fraction * fraction * (3.0 - 2.0 * fraction)
         self.shade = (1.0 - settings.background.hand_shadow * smooth).astype(np.float32)[:, None]
@@ -259,20 +271,9 @@ class Scene:
             self.exposure = np.float32(
                 self.settings.sensor.exposure / self.brightest(light, groups, leds)
             )
-        exposure, light = self.exposure, self.behind_films(name, light, numbers)
-        ambient = self.ambient(name, leds)
-        glare = np.zeros((len(leds), *self.rig.camera.image_size), dtype=np.float16)
-
-        def shoot(e: int, seed: np.random.SeedSequence) -> PixelArray:
-            for k in groups[e]:
-                glare[k][light.window] = light.glare[k] * self.shade[light.window[0]] * exposure
-            return self.record(
-                self.exposed(light, groups[e], leds, ambient) * exposure, name, leds, seed
-            )
-
-        named = [tuple(numbers[k] for k in group) for group in groups]
-        band = self.take(name, named, shoot, ambient * exposure, seed)
-        return band, glare, np.array(float(exposure))
+        light = self.behind_films(name, light, numbers)
+        shots = [Shot(self, light, numbers, group) for group in groups]
+        return photographs(name, shots, self.exposure, seed)
 
     def render(self, name: str, leds: Sequence[Led]) -> BandLight:
         """Light of the finger under LEDs of one band."""
@@ -373,11 +374,10 @@ class Scene:
             cut_out(self.surface, shadows=True),
             members_of(name, self.rig, self.settings),
         )
-        view = patch.view or (np.float32(0), np.float32(0), np.float32(1))
         optics = self.skin.medium("white").optics
         for i, number in enumerate(numbers):
-            towards_led = towards(self.rig.leds[number], patch.x, patch.y, patch.z)[:3]
-            ray = int(name == "white_crossed"), members.index(number), towards_led, view
+            to_led, _ = towards(self.rig.leds[number], patch.points)
+            ray = int(name == "white_crossed"), members.index(number), to_led, patch.view
             light.glare[i] *= (self.films.specular(*ray) / self.films.depolarised).astype(
                 np.float32
             )
@@ -400,17 +400,13 @@ class Scene:
         leds = [rig.leds[k] for group in groups for k in group]
         with ThreadPoolExecutor(self.settings.render.workers) as pool:
             images = list(pool.map(shoot, range(len(groups)), seeds[:-1]))
-        colours = rig.colours_of(groups) if response_to(name, leds) == "coloured" else ()
         return Band(
             name=name,
             pixels=np.stack(images),  # type: ignore[arg-type]
             leds=tuple(groups),
             exposure=np.ones(len(groups)),
             black_level=np.zeros(len(groups)),
-            ambient=self.record(dark, name, leds, seeds[-1]),
-            shading=rig.camera.shading,
-            colours=colours,
-            crosstalk=rig.camera.crosstalk if colours else None,
+            ambient=Ambient(self.record(dark, name, leds, seeds[-1])),
             polarisation=(
                 "" if self.films is None or name == "nir" else SERIES[name == "white_crossed"]
             ),
@@ -445,6 +441,49 @@ class Scene:
             self.settings.sensor,
             self.scale,
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """A finger under the LEDs of one exposure."""
+
+    scene: Scene
+    light: BandLight
+    numbers: Sequence[int]  # of the light's LEDs in the rig
+    group: Sequence[int]  # which of the light's LEDs are lit
+    smear: FloatArray | None = None  # kernel of the blur within the exposure
+
+    @property
+    def leds(self) -> list[Led]:
+        """The light's LEDs."""
+        return [self.scene.rig.leds[k] for k in self.numbers]
+
+
+def photographs(
+    name: str, shots: Sequence[Shot], exposure: np.float32, seed: np.random.SeedSequence
+) -> Taken:
+    """Photograph the shots of one band."""
+    first = shots[0].scene
+    groups = [tuple(shot.numbers[k] for k in shot.group) for shot in shots]
+    used = sorted(number for group in groups for number in group)
+    leds = [first.rig.leds[number] for number in used]
+    ambient = first.ambient(name, leds)
+    glare = np.zeros((len(used), *first.rig.camera.image_size), dtype=np.float16)
+
+    def shoot(number: int, seed: np.random.SeedSequence) -> PixelArray:
+        shot = shots[number]
+        light, shade = shot.light, shot.scene.shade
+        frame = shot.scene.exposed(light, shot.group, shot.leds, ambient) * exposure
+        for k in shot.group:
+            seen = light.glare[k] * shade[light.window[0]] * exposure
+            glare[used.index(shot.numbers[k])][light.window] = seen
+        if shot.smear is not None:
+            smeared = cv2.filter2D(frame, -1, shot.smear, borderType=cv2.BORDER_REPLICATE)
+            frame = np.asarray(smeared, dtype=np.float32)
+        return shot.scene.record(frame, name, leds, seed)
+
+    band = first.take(name, groups, shoot, ambient * exposure, seed)
+    return band, glare, np.array(float(exposure))
 
 
 def ambient_level(camera: Camera, leds: Sequence[Led], fraction: float) -> float:

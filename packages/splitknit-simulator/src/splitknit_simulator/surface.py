@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import Camera
-from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
+from splitknit_simulator.camera.lens import SightLines, sight_lines
 
 Array = NDArray[np.float64]
 WATER_INDEX = 1.333
@@ -101,18 +101,14 @@ class SimulatedSurface:
     # what the geometry knows: tip and flexion creases in pixels, pose, pattern, cores and deltas in
     # pixels
     landmarks: Mapping[str, Any] = field(default_factory=dict)
-    # (H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera:
-    # the grid gives it
-    x_mm: FloatArray | None = None
-    y_mm: FloatArray | None = None  # (H, W) y of the same points
     # (H, W, 2) u and v of the points on the skin's map, mm; None unless it was asked for
     chart: FloatArray | None = None
     coat: Coat | None = None  # what lies on the skin; None where it is clean and bare
     texture: Texture | None = None  # mottled blood and patches of sweat; None: even
 
-    def __post_init__(self) -> None:
-        require(
-            (self.x_mm is None) == (self.y_mm is None) == (self.camera.model == "orthographic"),
-            "a surface needs x_mm and y_mm where its camera is perspective, and neither where it is"
-            " orthographic.",
+    def sight(self, window: tuple[slice, slice] = (slice(None), slice(None))) -> SightLines:
+        """Lines of sight of the pixels in these rows and columns; the skin's points lie on them."""
+        rows, columns = (
+            np.arange(size)[part] for size, part in zip(self.mask.shape, window, strict=True)
         )
+        return sight_lines(self.camera, columns[None, :], rows[:, None])

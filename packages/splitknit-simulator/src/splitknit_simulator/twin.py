@@ -4,7 +4,7 @@ and as a folder."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Capture, Led, Rig, read_rig
+from splitknit import Capture, Rig, read_rig
 from splitknit.errors import require
 from splitknit.io.images import read_image
-from splitknit.model import BoolArray, FloatArray, PixelArray, default_rig
+from splitknit.model import BoolArray, FloatArray
+from splitknit.nominal import default_rig
 from splitknit.settings import override
 from splitknit_simulator.finger.conditions import conditioned_surface
 from splitknit_simulator.finger.finger import (
@@ -30,11 +31,9 @@ from splitknit_simulator.finger.master_print import (
     master_of_print,
 )
 from splitknit_simulator.finger.motion import draw_path, moving_finger
-from splitknit_simulator.finger.parameters import SHOT_EXPOSURE_S
 from splitknit_simulator.finger.shape import shape_of_rolled_print
 from splitknit_simulator.light.films import FilmSettings, with_crossed_leds
 from splitknit_simulator.light.lighting import white_card
-from splitknit_simulator.light.renderer import BandLight
 from splitknit_simulator.light.skin import BAND_CHANNELS, SkinOptics
 from splitknit_simulator.mirror_twin import (
     Drawn,
@@ -42,16 +41,18 @@ from splitknit_simulator.mirror_twin import (
     poses_between_mirrors,
     rig_with_mirrors,
 )
-from splitknit_simulator.parameters import BACKGROUND_MM
 from splitknit_simulator.rigs import coloured_rig, with_side_lights
 from splitknit_simulator.scene import (
+    BACKGROUND_MM,
     Scene,
+    Shot,
     Taken,
     TwinSettings,
     bands_of,
     exposures_of,
     members_of,
     optics_truth,
+    photographs,
     surface_truth,
     take_capture,
 )
@@ -301,9 +302,10 @@ def _photograph_moving(
     path = draw_path(np.random.default_rng(path_seed), len(shots), settings.motion, reference)
     moving = moving_finger(drawn.finger, drawn.pose, rig.camera, path, slip_seed)
     background_seed, noise_seed = drawn.photo_seed.spawn(2)
-    lit: dict[str, list[_Shot]] = {}
+    lit: dict[str, list[Shot]] = {}
     truth: dict[str, NDArray[Any]] = {}
-    exposed_px = SHOT_EXPOSURE_S * rig.camera.px_per_mm
+    # tremor blurs a shot during its exposure of 0.02 s
+    exposed_px = 0.02 * rig.camera.px_per_mm
     for number, ((name, leds), surface) in enumerate(
         zip(shots, moving.surfaces(settings.render.workers), strict=True)
     ):
@@ -312,57 +314,19 @@ def _photograph_moving(
         if number == moving.path.reference:
             truth = surface_truth(surface) | moving.truth(surface)
         smear = _smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
-        lamps = [rig.leds[k] for k in leds]
-        light = scene.behind_films(name, scene.render(name, lamps), leds)
-        lit.setdefault(name, []).append(_Shot(scene, light, lamps, leds, smear))
+        light = scene.behind_films(name, scene.render(name, [rig.leds[k] for k in leds]), leds)
+        lit.setdefault(name, []).append(Shot(scene, light, leds, range(len(leds)), smear))
 
     def photograph_band(name: str, seed: np.random.SeedSequence) -> Taken:
-        return _moving_band(name, lit[name], lit[name.removesuffix("_crossed")], seed)
+        bright = max(
+            shot.scene.brightest(shot.light, [shot.group], shot.leds)
+            for shot in lit[name.removesuffix("_crossed")]
+        )
+        exposure = np.float32(settings.sensor.exposure / bright)
+        return photographs(name, lit[name], exposure, seed)
 
     scene = next(iter(lit.values()))[0].scene
     return take_capture(scene, photograph_band, noise_seed, truth), truth
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shot:
-    """The finger at one place under one exposure's LEDs."""
-
-    scene: Scene
-    light: BandLight  # light of every LED of the exposure
-    members: list[Led]  # the exposure's LEDs
-    leds: tuple[int, ...]  # their numbers in the rig
-    smear: FloatArray  # kernel of the blur within the exposure
-
-
-def _moving_band(
-    name: str, shots: Sequence[_Shot], exposed: Sequence[_Shot], seed: np.random.SeedSequence
-) -> Taken:
-    """Images of one band, as :meth:`Scene.photograph` gives them; the exposure is set to the shots
-    `exposed`."""
-    first = shots[0].scene
-    rig = first.rig
-    used = sorted(k for shot in shots for k in shot.leds)
-    bright = max(
-        shot.scene.brightest(shot.light, [range(len(shot.leds))], shot.members) for shot in exposed
-    )
-    exposure = np.float32(first.settings.sensor.exposure / bright)
-    ambient = first.ambient(name, [rig.leds[k] for shot in shots for k in shot.leds])
-    glare = np.zeros((len(used), *rig.camera.image_size), dtype=np.float16)
-    leds = [rig.leds[k] for k in used]
-
-    def shoot(number: int, seed: np.random.SeedSequence) -> PixelArray:
-        shot = shots[number]
-        scene, light = shot.scene, shot.light
-        frame = scene.exposed(light, range(len(shot.leds)), shot.members, ambient) * exposure
-        for k, led in enumerate(shot.leds):
-            glare[used.index(led)][light.window] = (
-                light.glare[k] * scene.shade[light.window[0]] * exposure
-            )
-        smeared = cv2.filter2D(frame, -1, shot.smear, borderType=cv2.BORDER_REPLICATE)
-        return scene.record(np.asarray(smeared, dtype=np.float32), name, leds, seed)
-
-    band = first.take(name, [shot.leds for shot in shots], shoot, ambient * exposure, seed)
-    return band, glare, np.array(float(exposure))
 
 
 def _smear_kernel(length_px: NDArray[np.float64]) -> FloatArray:

@@ -15,7 +15,8 @@ from splitknit import Rig
 from splitknit.devices import Opened
 from splitknit.errors import require
 from splitknit.findings import Finding
-from splitknit.model import FloatArray, default_rig
+from splitknit.model import FloatArray
+from splitknit.nominal import default_rig
 from splitknit_simulator.bench_photos import BOARD
 from splitknit_simulator.calibration_set.bench import BenchSettings
 from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, board_poses

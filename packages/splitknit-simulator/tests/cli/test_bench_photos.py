@@ -22,7 +22,7 @@ SCALE = 0.06
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("bench") / "bench"
-    call = ["simulate", "--bench", "--seed", "3", "--scale", str(SCALE), "--out", str(out)]
+    call = f"simulate --bench --seed 3 --scale {SCALE} --out {out}".split()
     assert main([*call, "--set", "boards=3", "--set", "nails=2"]) == 0
     return out
 
@@ -56,7 +56,7 @@ def test_the_card_is_a_capture_with_an_exposure_series(bench):
 @pytest.mark.slow
 def test_a_stored_rig_photographs_a_finger_and_another_reconstructs_it(bench, tmp_path):
     true = bench / "rig_true.json"
-    assert main(["simulate", "--seed", "4", "--rig", str(true), "--out", str(tmp_path / "c")]) == 0
+    assert main(f"simulate --seed 4 --rig {true} --out {tmp_path}/c".split()) == 0
     assert read_capture(tmp_path / "c").rig.camera.height_mm == read_rig(true).camera.height_mm
     call = "reconstruct", tmp_path / "c", "--preset", "ea", "--keep", "--out", tmp_path / "r"
     assert main([*map(str, call), "--rig", str(bench / "rig_drawn.json")]) == 0

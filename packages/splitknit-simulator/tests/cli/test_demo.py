@@ -6,9 +6,10 @@ from typing import Any
 import pytest
 
 from handmade import capture_of, finger
+from splitknit.capture import Capture
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
-from splitknit.model import Capture, Reconstruction
+from splitknit.reconstruction import Reconstruction
 from splitknit.report.result import FILES
 
 

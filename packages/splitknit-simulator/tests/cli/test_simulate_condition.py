@@ -51,7 +51,7 @@ def test_dust_gets_a_note_and_clean_skin_none(tmp_path, capsys):
         folder, out = (tmp_path / f"{kind}{bool(condition)}" for kind in ("capture", "result"))
         assert simulate(f"--scale 0.165 {condition}", folder) == 0
         capsys.readouterr()
-        printed = words_of(capsys, "reconstruct", folder, "--out", out, "--preset", "ea")
+        printed = words_of(capsys, f"reconstruct {folder} --out {out} --preset ea")
         assert ("dark specks cover" in printed) == bool(condition)
         quality = json.loads((out / "report.json").read_text())["quality"]
         assert (quality["white"]["dark_specks"] > 0.002) == bool(condition)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from splitknit.model import CROSSTALK
+from splitknit.nominal import CROSSTALK
 from splitknit_simulator.camera.sensor import RESPONSE
 
 pytestmark = pytest.mark.external

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import splitknit_simulator
+from splitknit.capture import Capture
 from splitknit.finger.steady import find_steady_finger
-from splitknit.model import Capture
+from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
 from splitknit.settings import override
 
@@ -51,8 +52,9 @@ def polarised() -> Capture:
 
 
 def test_a_still_finger_is_unchanged(polarised):
-    steady, finger = find_steady_finger(polarised, METRIC)
-    assert steady is polarised
+    light = observe(polarised)
+    steady, finger = find_steady_finger(light, METRIC)
+    assert steady is light
     assert finger.facts["motion"]["most_mm"] < 0.01
     assert len(finger.facts["motion_white_crossed"]["moved_mm"]) == 7
     assert not any("moved" in finding.code for finding in finger.findings)
@@ -60,7 +62,7 @@ def test_a_still_finger_is_unchanged(polarised):
 
 @pytest.mark.slow
 def test_motion_between_the_series_is_undone(polarised):
-    apart = moved(polarised, *MOVED_MM)
+    apart = observe(moved(polarised, *MOVED_MM))
     steady, finger = find_steady_finger(apart, METRIC)
     shift_mm = np.array(finger.facts["motion_white_crossed"]["shift_mm"])
     np.testing.assert_allclose(shift_mm, np.broadcast_to(MOVED_MM, shift_mm.shape), atol=0.01)
@@ -71,7 +73,7 @@ def test_motion_between_the_series_is_undone(polarised):
     assert steady.bands["white"] is apart.bands["white"]
     assert "motion_white" not in finger.facts
     still, *pixels = (
-        each.bands["white_crossed"].pixels[0].astype(float) for each in (polarised, apart, steady)
+        each.bands["white_crossed"].grey[0] for each in (observe(polarised), apart, steady)
     )
     before, after = (np.abs(each - still)[finger.mask].mean() for each in pixels)
     assert after < 0.3 * before
@@ -79,7 +81,7 @@ def test_motion_between_the_series_is_undone(polarised):
 
 @pytest.mark.slow
 def test_motion_is_measured_where_correction_is_off(polarised):
-    apart = moved(polarised, *MOVED_MM)
+    apart = observe(moved(polarised, *MOVED_MM))
     steady, finger = find_steady_finger(apart, override(METRIC, {"motion.correct": "off"}))
     assert steady is apart
     assert finger.facts["motion"]["most_mm"] == pytest.approx(np.hypot(*MOVED_MM), abs=0.01)

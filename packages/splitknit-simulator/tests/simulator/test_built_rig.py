@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.rig import read_rig, write_rig
-from splitknit.model import default_rig, lobe_exponent, nominal_rig
+from splitknit.nominal import default_rig, lobe_exponent, nominal_rig
 from splitknit_simulator.rigs import built_rig
 
 
@@ -83,16 +82,6 @@ def test_distortion_and_fall_off_of_lenses_stay_in_their_ranges():
     # cos^4 leaves 93 to 94 % at the corners, vignetting takes 10 to 20 % more
     assert 0.72 < min(fractions) < 0.77
     assert 0.80 < max(fractions) < 0.85
-
-
-def test_a_built_rig_survives_its_file(tmp_path):
-    rig = built_rig(8, scale=0.2)
-    write_rig(rig, tmp_path / "rig.json")
-    back = read_rig(tmp_path / "rig.json")
-    assert np.allclose(positions(back), positions(rig))
-    assert np.allclose(axes(back), axes(rig))
-    assert back.camera.shading == pytest.approx(rig.camera.shading)
-    assert np.allclose(back.camera.matrix, rig.camera.matrix)
 
 
 @pytest.mark.parametrize(

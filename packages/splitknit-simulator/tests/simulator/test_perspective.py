@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
 from splitknit_simulator.camera.lens import pixels_of_points, slopes_of_pixels
 from splitknit_simulator.finger.finger import (
@@ -23,11 +22,9 @@ from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.light.lighting import white_card
 from splitknit_simulator.light.renderer import render_ambient, render_band
-from splitknit_simulator.light.separation import Checkerboard, pattern_states, separate_truth
 from splitknit_simulator.light.skin import (
     ChannelOptics,
     Medium,
-    SkinOptics,
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
@@ -58,8 +55,7 @@ def seen(finger: SimulatedFinger) -> SimulatedSurface:
 
 def _points(surface: SimulatedSurface) -> np.ndarray:
     """(H, W, 3) of the skin."""
-    assert surface.x_mm is not None and surface.y_mm is not None
-    return np.stack([surface.x_mm, surface.y_mm, surface.height_mm], -1).astype(np.float64)
+    return np.stack(surface.sight().at(surface.height_mm), axis=-1)
 
 
 def _view(surface: SimulatedSurface) -> np.ndarray:
@@ -101,7 +97,6 @@ def test_every_point_is_skin_and_nothing_stands_before_it(seen, finger):
 
 
 def test_normals_are_those_of_the_points_and_face_the_camera(seen):
-    assert seen.x_mm is not None and seen.y_mm is not None
     lengths = np.linalg.norm(seen.normals[seen.mask], axis=1)
     np.testing.assert_allclose(lengths, 1.0, atol=1e-5)
     assert (_view(seen) * seen.normals).sum(-1)[seen.mask].min() > 5e-4
@@ -207,15 +202,3 @@ def test_the_beam_falls_off_about_its_aim():
     to_origin = replace(even, lobe_exponent=12.0)
     same = replace(to_origin, aim=tuple(-0.01 * position))
     np.testing.assert_allclose(white_card(camera, same), white_card(camera, to_origin), rtol=1e-6)
-
-
-def test_what_perspective_cannot_have_is_refused(seen):
-    led = Led("white", (52.5, 0.0, 140.0))
-    with pytest.raises(BadInput, match="orthographic"):
-        separate_truth(seen, led, SkinOptics(), check_mm=1.0)
-    with pytest.raises(BadInput, match="orthographic"):
-        pattern_states(seen, led, Checkerboard(1.0))
-    with pytest.raises(BadInput, match="x_mm"):
-        replace(seen, x_mm=None, y_mm=None)
-    with pytest.raises(BadInput, match="x_mm"):
-        replace(seen, camera=Camera(15.0, (430, 560)))

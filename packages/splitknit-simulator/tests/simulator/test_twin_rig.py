@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_stack
-from splitknit.model import Camera, default_rig
+from splitknit.model import Camera
+from splitknit.nominal import default_rig
+from splitknit.observation.observe import observe
 from splitknit_simulator.camera.lens import fall_off, pixels_of_points
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale
 from splitknit_simulator.finger.finger import FingerPose, draw_finger
@@ -60,7 +61,7 @@ def test_a_perspective_capture_says_what_its_camera_is(perspective):
     rows, columns = np.nonzero(inside)
     assert max(np.abs(column - columns).max(), np.abs(row - rows).max()) < 1e-3
     assert all(array.dtype != object for array in truth.values())
-    assert capture.bands["white"].shading == capture.bands["nir"].shading == SHADING
+    assert capture.rig.camera.shading == SHADING
 
 
 @pytest.mark.slow
@@ -81,22 +82,19 @@ def test_the_lens_darkens_every_image_and_reconstruction_undoes_it():
     assert gain > 1.02  # the brightest skin is behind the lens as bright as before
     bright = plain["mask"] & (clear.bands["white"].pixels.max(axis=(0, -1)) < 50000)
     for a, b in (
-        (clear.bands["white"].ambient, dim.bands["white"].ambient),
+        tuple(c.bands["white"].ambient.pixels for c in (clear, dim)),
         (clear.bands["white"].pixels[2], dim.bands["white"].pixels[2]),
     ):
         ratio = b[bright].astype(float) / a[bright] / gain
         np.testing.assert_allclose(
             ratio, np.repeat(fall_off(shading)[bright][:, None], 3, 1), rtol=0.01
         )
-    light, divided = (
-        linear_stack(c.bands["white"], "linear", "green")[:, bright] for c in (clear, dim)
-    )
+    light, divided = (observe(c).white.stack[1][:, bright] for c in (clear, dim))
     np.testing.assert_allclose(divided, gain * light, atol=1e-3)
     # the stored glare is in the units of divided images
     np.testing.assert_allclose(
         truth["glare_white"].astype(float), gain * plain["glare_white"].astype(float), atol=2e-3
     )
-    assert clear.bands["white"].shading == ()
 
 
 def test_the_binning_follows_from_scale_and_image_size():

@@ -11,12 +11,14 @@ import pytest
 
 import splitknit
 import splitknit_simulator
+from splitknit.capture import Band, Capture
 from splitknit.finger import steady
 from splitknit.finger.locate import Finger
 from splitknit.imaging.light_field import lights_in_front
-from splitknit.imaging.polarised import without_side_lights
-from splitknit.model import Band, Capture, Led, Rig, default_rig
-from splitknit_simulator.light.lighting import arriving, cut_out, towards
+from splitknit.model import Led, Rig
+from splitknit.nominal import default_rig
+from splitknit.observation.observe import observe
+from splitknit_simulator.light.lighting import arriving, cut_out, dot, towards
 from splitknit_simulator.rigs import with_side_lights
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import lay_down
@@ -48,14 +50,13 @@ def test_side_lights_are_as_bright_as_the_ring_at_the_finger():
 def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none():
     rig = with_side_lights(default_rig(0.12), 3)
     patch = cut_out(lay_down(3, None, TwinSettings(scale=0.12, rig=rig))[0], shadows=True)
-    inner = patch.mask & (patch.nz > 0.2)
+    inner = patch.mask & (patch.normal[2] > 0.2)
     for led, least in ((rig.leds[0], 1.0), (rig.leds[14], 0.0)):
-        free = (arriving(patch, led)[3] / towards(led, patch.x, patch.y, patch.z)[3])[inner]
+        free = (arriving(patch, led)[1] / towards(led, patch.points)[1])[inner]
         assert float(free.min()) == least
         assert float(free.mean()) > 0.3
     # the flank that faces it, as far as the outline
-    lx, ly, lz, _ = towards(led, patch.x, patch.y, patch.z)
-    facing = (lx * patch.nx + ly * patch.ny + lz * patch.nz)[inner]
+    facing = dot(towards(led, patch.points)[0], patch.normal)[inner]
     assert float(np.mean(free[facing > 0.7])) > 0.99
 
 
@@ -105,10 +106,9 @@ def test_side_lights_are_distinguished_by_their_angles(off_deg, front):
 def test_motion_before_the_side_images_is_the_common_shift(lit, monkeypatch, common_mm, moved):
     """Each light seems to shift the ridges along itself; what could not be registered says
     nothing."""
-    parted = without_side_lights(lit)
-    side = parted.bands["white"].side
-    assert side is not None
-    towards = parted.rig.select(side.leds).light_vectors()[:, :2]
+    parted = observe(lit)
+    assert parted.side is not None
+    towards = parted.side.rig.light_vectors()[:, :2]
     shifts = -0.05 * towards / np.linalg.norm(towards, axis=1, keepdims=True) + (common_mm, 0.0)
     shifts[[0, 4]] = 0.0  # went astray
     facts = {"motion_white_crossed": {"shift_mm": shifts.tolist()}}

@@ -11,6 +11,7 @@ import pytest
 
 from splitknit.finger.locate import find_finger
 from splitknit.methods.metric import metric_skin
+from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import working_images
@@ -67,9 +68,10 @@ class Piece:
 @pytest.fixture(scope="module")
 def piece() -> Piece:
     capture, _ = simulate_capture(1001, settings={"scale": 0.34})
-    finger = find_finger(capture, SETTINGS)
-    seen = capture.bands["white"], capture.bands["nir"]
-    images = working_images(capture, seen, finger.window, finger.inside, SETTINGS.metric)
+    light = observe(capture)
+    finger = find_finger(light, SETTINGS)
+    bands = light.bands["white"], light.bands["nir"]
+    images = working_images(bands, None, finger.window, finger.inside, SETTINGS.metric)
     rows, columns = np.nonzero(images.grid.mask)
     row, column, side = int(np.median(rows)), int(np.median(columns)), 192
     cut = np.s_[row - side : row + side, column - side : column + side]
@@ -80,16 +82,16 @@ def piece() -> Piece:
         float(images.grid.y_mm[row] + 0.5 * pitch),
     )
     disc = np.hypot(x[None, :], x[:, None]) < 0.96 * side * pitch
-    bands = []
+    shown = []
     for band in images.bands:
         leds = tuple(
             replace(led, position_mm=tuple(np.subtract(led.position_mm, (far_x, far_y, 0.0))))
             for led in band.rig.leds
         )
         stack = np.ascontiguousarray(band.stack[(..., *cut)] * (images.grid.mask[cut] & disc))
-        bands.append(BandImages(band.channels, stack, replace(band.rig, leds=leds)))
+        shown.append(BandImages(band.channels, stack, replace(band.rig, leds=leds)))
     grid = Grid(images.grid.mask[cut] & disc, x, -x, pitch, (False,) * 4)
-    return Piece(tuple(bands), grid, images.networks)
+    return Piece(tuple(shown), grid, images.networks)
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,10 @@ import pytest
 
 import splitknit
 import splitknit_simulator
+from splitknit.capture import Capture
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.methods.metric import NO_SPECULAR, without_white
-from splitknit.model import Camera, Capture, FloatArray, Led, Rig
+from splitknit.model import Camera, FloatArray, Led, Rig
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import MicrofacetGlare
 from splitknit.skin.polarised import SpecularImages, polarised_heights, specular_images
@@ -118,8 +119,7 @@ def test_side_lights_are_fitted_and_inconsistent_ones_left_out():
     height_mm, error_mm, facts = polarised_heights(images, grid, start, unknown)
     assert facts["side_lights"] == 4
     # as if colours separated them
-    same_mm, more_mm, _ = polarised_heights(images, grid, start, unknown, films=False)
-    np.testing.assert_array_equal(same_mm, height_mm)
+    _, more_mm, _ = polarised_heights(images, grid, start, unknown, films=False)
     assert (more_mm > error_mm)[grid.depth_mm > 0.3].mean() > 0.99
     relief, true = (_relief(field, grid) for field in (height_mm - dome, ridges))
     assert float(relief @ true / (true @ true)) == pytest.approx(1.0, abs=0.1)

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -21,21 +21,19 @@ from splitknit import Camera, Led
 from splitknit.errors import require
 from splitknit.model import FloatArray, PixelArray
 from splitknit.settings import Checked, Limits
-from splitknit_simulator.camera import lens
 from splitknit_simulator.camera.device import LitScene
-from splitknit_simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
+from splitknit_simulator.camera.lens import (
+    SightLines,
+    blur_sigma_px,
+    defocus,
+    fall_off,
+    pixels_of_points,
+    px_per_mm_at,
+    sight_lines,
+)
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.lighting import irradiance
 from splitknit_simulator.surface import Array
-
-
-class SightLines(NamedTuple):
-    """Lines of sight: at the height z a pixel looks at (x - z slope_x, y - z slope_y)."""
-
-    x: Array  # (h, w) mm, where the line meets z = 0
-    y: Array
-    slope_x: Array  # (h, w) mm sideways per mm downwards; zero for parallel rays
-    slope_y: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,21 +48,13 @@ class PlaneFrame:
         """u and v at which the lines of sight meet the plane, and the height z there, (h, w)
         each."""
         normal = self.axes[:, 2]
-        steepness = normal[2] - normal[0] * sight.slope_x - normal[1] * sight.slope_y
+        steepness = sight.along(*normal)
         require(
             float(steepness.min()) > 0.05,
             "the camera sees the plane edge-on or from behind; tilt it less than 80 deg.",
         )
         z = (float(normal @ self.middle) - normal[0] * sight.x - normal[1] * sight.y) / steepness
-        x, y = (
-            sight.x - sight.slope_x * z - self.middle[0],
-            sight.y - sight.slope_y * z - self.middle[1],
-        )
-        lift = z - self.middle[2]
-        u, v = (
-            x * axis[0] + y * axis[1] + lift * axis[2]
-            for axis in (self.axes[:, 0], self.axes[:, 1])
-        )
+        u, v, _ = np.moveaxis(self.own(np.stack(sight.at(z), axis=-1)), -1, 0)
         return u, v, z
 
     def points(self, u: Any, v: Any, w: Any = 0.0) -> Array:
@@ -133,7 +123,7 @@ def _ramp(distance: Array, spread: Array) -> Array:
 def seen_at(camera: Camera, points: Array) -> Array:
     """Column and row (..., 2) at which points (..., 3) of the rig's frame appear, in the picture or
     outside it."""
-    return np.stack(lens.pixels_of_points(camera, *np.moveaxis(points, -1, 0)), axis=-1)
+    return np.stack(pixels_of_points(camera, *np.moveaxis(points, -1, 0)), axis=-1)
 
 
 Window = tuple[slice, slice]
@@ -224,20 +214,8 @@ class GroundScene(ABC):
 
     @cached_property
     def _sight(self) -> SightLines:
-        camera = self.camera
-        height, width = camera.image_size
-        columns, rows = (
-            np.arange(width, dtype=np.float64)[None, :],
-            np.arange(height, dtype=np.float64)[:, None],
-        )
-        if camera.model == "orthographic":
-            x, y = (
-                (columns - (width - 1) / 2) / camera.px_per_mm,
-                ((height - 1) / 2 - rows) / camera.px_per_mm,
-            )
-            return SightLines(*np.broadcast_arrays(x, y, *np.zeros((2, height, width))))
-        slope_x, slope_y = lens.slopes_of_pixels(camera, columns, rows)
-        return SightLines(slope_x * camera.height_mm, slope_y * camera.height_mm, slope_x, slope_y)
+        rows, columns = map(np.arange, self.camera.image_size)
+        return sight_lines(self.camera, columns[None, :], rows[:, None])
 
     @cached_property
     def _hit(self) -> tuple[Array, Array, Array]:
@@ -245,9 +223,8 @@ class GroundScene(ABC):
 
     @cached_property
     def _points(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        z, lines = self._hit[2], self._sight
-        x, y = lines.x - lines.slope_x * z, lines.y - lines.slope_y * z
-        return x.astype(np.float32), y.astype(np.float32), z.astype(np.float32)
+        x, y, z = (axis.astype(np.float32) for axis in self._sight.at(self._hit[2]))
+        return x, y, z
 
     @cached_property
     def _fall_off(self) -> FloatArray:

@@ -20,13 +20,6 @@ from splitknit_simulator.calibration_set.bench import (
     seen_at,
     steps,
 )
-from splitknit_simulator.calibration_set.parameters import (
-    BOARD_HEIGHT_MM,
-    BOARD_MARGIN,
-    BOARD_TILT_DEG,
-    BOARD_TRIES,
-    BOARD_TURN_DEG,
-)
 from splitknit_simulator.camera.lens import px_per_mm_at
 from splitknit_simulator.surface import Array
 
@@ -152,7 +145,7 @@ def board_poses(
     board = board or PrintedBoard()
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))
     poses: list[_Pose] = []
-    for _ in range(BOARD_TRIES * count):
+    for _ in range(200 * count):  # then the board counts as too large for the picture
         pose = _draw(rng, camera, board)
         if pose is not None:
             poses.append(pose)
@@ -166,10 +159,10 @@ def board_poses(
 
 
 def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _Pose | None:
-    """One pose, or None where so turned a board does not fit."""
+    """One pose, drawn evenly, or None where so turned a board does not fit."""
     tilt, turn, height = (
         low + (high - low) * rng.random()
-        for low, high in (BOARD_TILT_DEG, BOARD_TURN_DEG, BOARD_HEIGHT_MM)
+        for low, high in ((10.0, 35.0), (-15.0, 15.0), (-5.0, 5.0))
     )
     axis = 2.0 * np.pi * rng.random()
     beside = rng.random(2)
@@ -177,7 +170,7 @@ def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _Pos
     spin = cv2.Rodrigues(np.array([0.0, 0.0, np.deg2rad(turn)]))[0]
     rotation = cv2.Rodrigues(lean @ spin)[0].ravel()
     rows, columns = camera.image_size
-    free = BOARD_MARGIN * rows
+    free = 0.02 * rows  # margin on every side
     # held under the camera's axis, how far could it be moved until it leaves the picture?
     last = (columns - 1 - free, rows - 1 - free)
     places = _outer_corners(rotation, np.array([0.0, 0.0, height]), camera, board)

@@ -18,14 +18,13 @@ from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
-    SightLines,
     Window,
     card_radiance,
     edge_coverage,
     seen_at,
     steps,
 )
-from splitknit_simulator.calibration_set.parameters import RELIEF_STEPS, RIM_SAMPLES
+from splitknit_simulator.camera.lens import SightLines
 from splitknit_simulator.light.lighting import UNIT, irradiance
 from splitknit_simulator.surface import Array
 
@@ -185,11 +184,7 @@ class NailScene(_SolidScene):
     def _surface(self, window: Window) -> Lines:
         """Points (h, w, 3) and unit normals of the cone where the pixels of the window see it, in
         the rig's frame."""
-        lines = _cut(self._sight, window)
-        up = (
-            np.stack([lines.slope_x, lines.slope_y, np.full_like(lines.x, -1.0)], axis=-1)
-            @ self.plane.axes
-        )
+        up = self._sight.some(window).towards_camera @ self.plane.axes
         up /= up[..., 2:]
         du, dv = (
             self._hit[0][window] - self.position_mm[0],
@@ -295,21 +290,11 @@ class SphereScene(_SolidScene):
         fraction = np.ones(self.camera.image_size)
         places = _disc_points(led, self.bench.led_radius_mm)
         window = self._shadow(places)
-        if window is None:
-            return fraction
-        points = np.stack([axis[window] for axis in self._points], axis=-1).astype(np.float64)
-        depth = self._depth_in_shadow(points, places[0])
-        step = steps(depth)
-        # lines to the rest of the face pass the ball less than the face's radius beside the line to
-        # its middle
-        rim = np.abs(depth) < self.bench.led_radius_mm + 2.0 * np.hypot(*step)
-        step, points = (step[0][rim], step[1][rim]), points[rim]
-        hidden = np.mean(
-            [edge_coverage(self._depth_in_shadow(points, place), step) for place in places], axis=0
-        )
-        part = np.where(depth > 0.0, 0.0, 1.0)
-        part[rim] = 1.0 - hidden
-        fraction[window] = part
+        if window is not None:
+            points = np.stack([axis[window] for axis in self._points], axis=-1).astype(np.float64)
+            for place in places:
+                hidden = edge_coverage(self._depth_in_shadow(points, place))
+                fraction[window] -= hidden / len(places)
         return fraction
 
     def _depth_in_shadow(self, points: Array, place: Array) -> Array:
@@ -362,13 +347,13 @@ class SphereScene(_SolidScene):
     def _solid(self) -> tuple[Window, Array, Lines] | None:
         if self._ball is None:
             return None
-        seen, inwards = self._seen(_cut(self._sight, self._ball))
+        seen, inwards = self._seen(self._sight.some(self._ball))
         return self._ball, edge_coverage(inwards), seen
 
     def _seen(self, sight: SightLines) -> tuple[Lines, Array]:
         """Where lines of sight meet the ball or touch it, its normals there, and by how much (mm)
         they pass inside."""
-        down = directions(sight)
+        down = -sight.towards_camera
         away = np.stack([sight.x, sight.y, np.zeros_like(sight.x)], axis=-1) - self.middle_mm
         # of the line to the ball's middle
         nearest = away - np.sum(away * down, axis=-1, keepdims=True) * down
@@ -385,7 +370,7 @@ class SphereScene(_SolidScene):
         if not self.chrome:
             return self._matt(leds, *seen, reflectance)
         assert self._ball is not None
-        return self._mirrored(leds, _cut(self._sight, self._ball), seen, reflectance)
+        return self._mirrored(leds, self._sight.some(self._ball), seen, reflectance)
 
     def _mirrored(
         self, leds: tuple[Led, ...], lines: SightLines, seen: Lines, reflectance: float
@@ -421,10 +406,6 @@ class SphereScene(_SolidScene):
         return light
 
 
-def _cut(sight: SightLines, window: Window) -> SightLines:
-    return SightLines(*(part[window] for part in sight))
-
-
 # A printed phantom: heights above a plane, on dark ground.
 
 
@@ -444,11 +425,10 @@ class ReliefScene(_SolidScene):
         top = float(np.nanmax(self.height_mm))
         below = np.where(inside, self.height_mm, np.nanmin(self.height_mm)) - top
         rise, across = map(np.asarray, np.gradient(below, self.pitch_mm))
-        way = np.stack([self._sight.slope_x, self._sight.slope_y, -np.ones_like(self._sight.x)], -1)
-        way = way @ self.plane.axes
+        way = self._sight.towards_camera @ self.plane.axes
         way /= way[..., 2:]
         w = np.zeros(self.camera.image_size)
-        for _ in range(RELIEF_STEPS):  # a contraction: the slope of a line of sight times a skirt's
+        for _ in range(10):  # a contraction: the slope of a line of sight times a skirt's
             u, v = self._hit[0] + w * way[..., 0], self._hit[1] + w * way[..., 1]
             w = self._sampled(below, u, v)
         slopes = [-self._sampled(across, u, v), self._sampled(rise, u, v)]
@@ -485,15 +465,10 @@ def unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def directions(sight: SightLines) -> Array:
-    """Unit vectors (..., 3) from the camera."""
-    return unit(np.stack([sight.slope_x, sight.slope_y, np.full_like(sight.x, -1.0)], axis=-1))
-
-
 def mirrored(sight: SightLines, mirror: Lines) -> Lines:
     """Where lines of sight leave a mirror (points and normals) and which way they go then."""
     points, normals = mirror
-    down = directions(sight)
+    down = -sight.towards_camera
     return points, down - 2.0 * np.sum(down * normals, axis=-1, keepdims=True) * normals
 
 
@@ -513,6 +488,10 @@ def _led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
     inwards = np.where(meets & (reach > 0.0), radius_mm - np.linalg.norm(offset, axis=-1), -1e3)
     ahead = led.intensity * UNIT / (np.pi * max(radius_mm, 1e-6) ** 2)
     return inwards, np.asarray(ahead * np.maximum(cosine, 1e-3) ** (led.lobe_exponent - 1.0))
+
+
+RIM_SAMPLES = 12
+"""Across a pixel in which the rim of an LED's mirror image lies. Chosen on: speed."""
 
 
 def _finer_lines(sight: SightLines, at: tuple[NDArray[Any], ...]) -> SightLines:

@@ -20,14 +20,6 @@ from splitknit import Camera, Led
 from splitknit.devices import CameraDevice, ExposureRange, Frame, LightBank
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit_simulator.camera.parameters import (
-    LAG_FRAMES,
-    LONGEST_EXPOSURE_S,
-    PREVIEW_COLUMNS,
-    SENSITIVITY_PER_S,
-    SETTLE_S,
-    TRANSFER_S,
-)
 from splitknit_simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
 
 
@@ -69,6 +61,9 @@ _READOUT_S = 0.0466
 """Time from the first row to the last. Source: derived, 2464 rows of the IMX219."""
 _FRAME_S = 0.0477
 """Shortest time from frame to frame. Source: IMX219 driver in Linux."""
+SETTLE_S = 0.02
+"""Until an LED is at full brightness, as the Raspberry Pi's lights wait: far above what an LED and
+its supply need."""
 
 
 class TwinLightBank(LightBank):
@@ -98,6 +93,10 @@ class TwinLightBank(LightBank):
 
     def _release(self) -> None:
         pass
+
+
+SENSITIVITY_PER_S = 500.0
+"""Fraction of full scale, of light of radiance one (in the rig's units) at gain one."""
 
 
 class TwinCamera(CameraDevice):
@@ -130,7 +129,12 @@ class TwinCamera(CameraDevice):
         self._seed, self._exposed, self._photographs = seed, 0, 0
         self._closed = False
         self.image_size = scene.camera.image_size
-        self.exposures = ExposureRange(_SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S, 1.0, _LARGEST_GAIN)
+        self.exposures = ExposureRange(
+            _SHORTEST_EXPOSURE_S,
+            0.2,  # 14 photographs in 7 s
+            1.0,
+            _LARGEST_GAIN,
+        )
         self.lock(0.01, 1.0)
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
@@ -139,7 +143,7 @@ class TwinCamera(CameraDevice):
         require(band in RESPONSE, f"the bands are white and nir, not '{band}'.")
         self._exposure_s = round(exposure_s / _LINE_S) * _LINE_S
         self._gain, self._band = float(gain), band
-        self._fresh = LAG_FRAMES
+        self._fresh = 3  # frames until a new exposure takes effect
 
     def capture(self) -> Frame:
         """See :class:`splitknit.devices.CameraDevice`."""
@@ -150,7 +154,7 @@ class TwinCamera(CameraDevice):
 
     def preview(self) -> Frame:
         """See :class:`splitknit.devices.CameraDevice`."""
-        return self._expose(max(1, round(self.image_size[1] / PREVIEW_COLUMNS)))
+        return self._expose(max(1, round(self.image_size[1] / 800)))  # about 800 px wide
 
     def close(self) -> None:
         """See :class:`splitknit.devices.CameraDevice`."""
@@ -176,7 +180,8 @@ class TwinCamera(CameraDevice):
         pixels = record(light * fraction, self._band, seed, sensor, self._scale / reduction)
         self._exposed += 1
         ended_s = begins_s + self._exposure_s + _READOUT_S
-        self._clock.advance(float(ended_s) + TRANSFER_S - self._clock.now_s)
+        transferred_s = float(ended_s) + 0.07
+        self._clock.advance(transferred_s - self._clock.now_s)
         return Frame(pixels, self._exposure_s, self._gain, 0.0, float(ended_s), discarded)
 
     def _light(self, at_s: float) -> FloatArray:

@@ -7,6 +7,8 @@ order), rows running down.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +16,54 @@ from numpy.typing import NDArray
 from splitknit import Camera
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit_simulator.camera.parameters import BLUR_LEVELS_PER_DOUBLING
 
 Array = NDArray[np.float64]
 
 
 Numbers = NDArray[np.float64] | NDArray[np.intp]
+
+
+class SightLines(NamedTuple):
+    """Lines of sight: at the height z a pixel looks at (x - z slope_x, y - z slope_y)."""
+
+    x: Array  # mm, where the line meets z = 0
+    y: Array
+    slope_x: Array  # mm sideways per mm downwards; zero for parallel rays
+    slope_y: Array
+
+    def some(self, which: Any) -> SightLines:
+        """The lines with these indices."""
+        return SightLines(*(part[which] for part in self))
+
+    def at(self, z: Array | FloatArray | float) -> tuple[Array, Array, Array]:
+        """x, y and z of the points at heights `z`."""
+        x, y = self.x - self.slope_x * z, self.y - self.slope_y * z
+        return x, y, np.broadcast_to(z, x.shape)
+
+    def along(self, x: Array, y: Array, z: Array) -> Array:
+        """Change per mm of height along the lines of a function with the gradient (x, y, z)."""
+        return z - self.slope_x * x - self.slope_y * y
+
+    @property
+    def length(self) -> Array:
+        """mm of the lines per mm of height."""
+        return np.sqrt(1.0 + self.slope_x**2 + self.slope_y**2)
+
+    @property
+    def towards_camera(self) -> Array:
+        """(..., 3) unit vectors to the camera."""
+        up = np.stack([-self.slope_x, -self.slope_y, np.ones_like(self.x)], axis=-1)
+        return up / self.length[..., None]
+
+
+def sight_lines(camera: Camera, columns: Numbers, rows: Numbers) -> SightLines:
+    """The lines of sight of pixels; `columns` and `rows` broadcast."""
+    if camera.model == "perspective":
+        right, up = slopes_of_pixels(camera, columns, rows)
+        return SightLines(right * camera.height_mm, up * camera.height_mm, right, up)
+    x = (columns - (camera.image_size[1] - 1) / 2) / camera.px_per_mm
+    y = ((camera.image_size[0] - 1) / 2 - rows) / camera.px_per_mm
+    return SightLines(*np.broadcast_arrays(x, y, 0.0 * x, 0.0 * y))
 
 
 def slopes_of_pixels(camera: Camera, columns: Numbers, rows: Numbers) -> tuple[Array, Array]:
@@ -57,12 +101,10 @@ def picture_on_plane(camera: Camera) -> tuple[float, float, float]:
     """Where the picture lies on the finger plane: x of its middle, y of its lower and of its upper
     border, in mm."""
     rows, columns = camera.image_size
-    if camera.model == "orthographic":
-        return 0.0, -0.5 * rows / camera.px_per_mm, 0.5 * rows / camera.px_per_mm
     middle = np.full(3, 0.5 * (columns - 1))
-    x, y = slopes_of_pixels(camera, middle, np.array([0.5 * (rows - 1), rows - 0.5, -0.5]))
-    middle_x, lower, upper = (np.array([x[0], y[1], y[2]]) * camera.height_mm).tolist()
-    return middle_x, lower, upper
+    places = np.array([0.5 * (rows - 1), rows - 0.5, -0.5])
+    lines = sight_lines(camera, middle, places)
+    return float(lines.x[0]), float(lines.y[1]), float(lines.y[2])
 
 
 def px_per_mm_at(camera: Camera, z_mm: float) -> float:
@@ -146,6 +188,11 @@ def blur_sigma_px(
     return np.asarray(0.25 * px_per_mm * disc_mm, dtype=np.float32)
 
 
+_BLUR_LEVELS_PER_DOUBLING = 2
+"""Evenly blurred images for each doubling of the blur's width; pixels interpolate between them.
+Chosen on: speed."""
+
+
 def defocus(image: FloatArray, sigma_px: FloatArray) -> FloatArray:
     """Blur (H, W, C) `image` by a Gaussian whose width `sigma_px` (H, W) changes from pixel to
     pixel.
@@ -156,9 +203,9 @@ def defocus(image: FloatArray, sigma_px: FloatArray) -> FloatArray:
     largest = float(sigma_px.max())
     if largest < 0.1:
         return image
-    steps = max(int(np.ceil(BLUR_LEVELS_PER_DOUBLING * np.log2(max(largest / 0.5, 1.0)))), 1)
+    steps = max(int(np.ceil(_BLUR_LEVELS_PER_DOUBLING * np.log2(max(largest / 0.5, 1.0)))), 1)
     ladder = np.concatenate(
-        [[0.0], largest * 2.0 ** (np.arange(-steps, 1) / BLUR_LEVELS_PER_DOUBLING)]
+        [[0.0], largest * 2.0 ** (np.arange(-steps, 1) / _BLUR_LEVELS_PER_DOUBLING)]
     )
     variance = sigma_px * sigma_px
     result = np.zeros_like(image)

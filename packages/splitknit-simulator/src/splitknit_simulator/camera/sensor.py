@@ -15,7 +15,6 @@ from splitknit import Camera
 from splitknit.errors import require
 from splitknit.model import FloatArray, PixelArray
 from splitknit.settings import Checked, Limits
-from splitknit_simulator.camera.parameters import ROWS_AT_A_TIME
 
 RESPONSE: Mapping[str, tuple[float, float, float]] = {
     "white": (0.90, 1.00, 0.47),
@@ -75,6 +74,11 @@ def binning_scale(camera: Camera) -> float:
     return min(by_pitch, 1.0)
 
 
+_ROWS_AT_A_TIME = 64
+"""Rows that are exposed together, which limits memory. Chosen on: speed. Range: any; the result is
+the same, since noise is drawn row by row."""
+
+
 def record(
     light: FloatArray,
     band: str,
@@ -95,8 +99,8 @@ def record(
     )
     rng = np.random.default_rng(seed) if settings.noise else None
     raw = np.empty(light.shape, dtype=np.uint16)
-    for top in range(0, light.shape[0], ROWS_AT_A_TIME):
-        part = slice(top, top + ROWS_AT_A_TIME)
+    for top in range(0, light.shape[0], _ROWS_AT_A_TIME):
+        part = slice(top, top + _ROWS_AT_A_TIME)
         raw[part] = _expose(light[part], RESPONSE[band], rng, settings, scale)
     if settings.demosaic:
         # Keep one colour a pixel, in the order red green / green blue, and interpolate the others

@@ -16,14 +16,6 @@ from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint
-from splitknit_simulator.finger.parameters import (
-    DRY_ROUGHNESS,
-    HIGHEST_SKIN_MM,
-    MAX_PLATES,
-    MOIST_ROUGHNESS,
-    SCAR_ROUGHNESS,
-    WATER_ROUGHNESS,
-)
 from splitknit_simulator.finger.ridges import around, smooth_noise
 from splitknit_simulator.finger.skin_map import SkinMap, skin_map
 from splitknit_simulator.light.coat import draw_grains, stamp
@@ -90,7 +82,8 @@ def _dried(
     threshold = float(np.quantile(field, 1.0 - 0.45 * severity))
     scale = np.clip((field - threshold) / 0.12, 0.0, 1.0) * (master.ridge > 0.35)
     scale = cv2.GaussianBlur(scale, (0, 0), 0.6)
-    plates = scale * np.clip(1.0 + 1.5 * (field - threshold), 1.0, MAX_PLATES)
+    # at most four horny plates with air between them
+    plates = scale * np.clip(1.0 + 1.5 * (field - threshold), 1.0, 4)
     edge = np.abs(scale * (1.0 - scale)) * 4.0
     new = new + 1e-3 * (8.0 * scale + 6.0 * edge) * calm
     return _Weathered(new, scale, _scale_reflectance(plates))
@@ -309,7 +302,7 @@ def conditioned_surface(  # noqa: PLR0917
         level = _water_level(relief, plain.pitch_mm, severity, rng)
     skin_relief = relief if weathered is None else weathered.displacement
     highest = float((skin_relief if level is None else np.maximum(skin_relief, level)).max())
-    lower = max(0.0, highest - HIGHEST_SKIN_MM)
+    lower = max(0.0, highest - 0.006)  # rays look for the skin from 8 um over the body on
     laid = (
         plain
         if weathered is None and lower == 0.0
@@ -370,8 +363,10 @@ def _wet(
         down, right = np.gradient(np.where(mask, -normals[..., axis] / nz, 0.0))
         total += (down**2 + right**2) / 12.0
     bend = np.asarray(np.minimum(0.5 * total, 0.25))
-    roughness = np.clip(np.sqrt(WATER_ROUGHNESS**2 + 2.0 * bend), 0.0, 1.0).astype(np.float32)
-    moist = min(skin.roughness, MOIST_ROUGHNESS)
+    # GGX alpha of a water surface at rest on skin: smooth but for what floats on it
+    roughness = np.clip(np.sqrt(0.05**2 + 2.0 * bend), 0.0, 1.0).astype(np.float32)
+    # GGX alpha of hydrated skin between drops; Dabrowska et al. 2016 found such skin smoother
+    moist = min(skin.roughness, 0.18)
     bare = np.full(
         mask.shape, skin.roughness + severity * (moist - skin.roughness), dtype=np.float32
     )
@@ -387,9 +382,8 @@ def _weathered(
 ) -> Coat:
     fraction = _on_chart(weathered.fraction, surface, laid).astype(np.float32)
     if weathered.reflectance is not None:
-        rough = max(
-            skin.roughness, skin.roughness + condition.severity * (DRY_ROUGHNESS - skin.roughness)
-        )
+        # GGX alpha of dry skin at severity 1
+        rough = max(skin.roughness, skin.roughness + condition.severity * (0.5 - skin.roughness))
         scales = _on_chart(weathered.reflectance, surface, laid).astype(np.float32)
         return Coat(
             "dry",
@@ -398,7 +392,8 @@ def _weathered(
             np.full(fraction.shape, rough, np.float32),
             scales=scales,
         )
-    smooth = skin.roughness + fraction * (min(SCAR_ROUGHNESS, skin.roughness) - skin.roughness)
+    # GGX alpha of a scar in rougher skin
+    smooth = skin.roughness + fraction * (min(0.15, skin.roughness) - skin.roughness)
     scar: dict[str, Any] = {
         name: min(factor * float(getattr(skin, name)), most)
         for name, (factor, most) in _SCAR.items()

@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from splitknit import Camera
 from splitknit.errors import require
-from splitknit.model import BoolArray
+from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.lens import picture_on_plane
 from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
@@ -301,17 +301,13 @@ def _find_landmarks(
     """Collect landmarks; pixel positions are (column, row), NaN or absent where not in view."""
     mask, chart, master, camera = surface.mask, surface.chart, finger.master(), surface.camera
     assert chart is not None
-    lattice = _Lattice(mask, chart, max(1, int(0.35 * camera.px_per_mm)))
-
-    def pixels(points: Any) -> Array:
-        return lattice.find(np.asarray(points, dtype=np.float64).reshape(-1, 2))
+    pixels = _finder(mask, chart, max(1, int(0.35 * camera.px_per_mm)))
 
     def visible(points: Any) -> Array:
         places = pixels(points)
         return places[np.isfinite(places).all(axis=1)]
 
     creases = [visible(line[::8]) for line in skin.crease_lines]
-    minutiae = pixels(master.minutiae[:, :2]) if len(master.minutiae) else np.zeros((0, 2))
     # (N, 2) places of the pores on the chart
     rows, columns = np.nonzero(
         (master.pores > 0.25) & (master.pores >= cv2.dilate(master.pores, np.ones((3, 3))))
@@ -322,7 +318,7 @@ def _find_landmarks(
         "crease_px": creases,
         "cores_px": pixels(master.cores_mm),
         "deltas_px": pixels(master.deltas_mm),
-        "minutiae_px": minutiae[np.isfinite(minutiae).all(axis=1)],
+        "minutiae_px": visible(master.minutiae[:, :2]),
         "pores_px": visible(pores_mm),
         "seed": finger.seed,
         "pattern": master.pattern,
@@ -331,55 +327,36 @@ def _find_landmarks(
     }
 
 
-class _Lattice:
-    """Finds the pixel that shows a point of the chart."""
+def _finder(mask: BoolArray, chart: FloatArray, step: int) -> Callable[[Any], Array]:
+    """Finds the pixels (N, 2), column and row, that show points (N, 2) of the chart, by Newton
+    steps from the nearest of every `step`-th pixel; NaN where none shows it."""
+    rows, columns = np.nonzero(mask[::step, ::step])
+    seeds = step * np.stack([columns, rows], axis=1)
+    tree = cKDTree(chart[rows * step, columns * step].astype(np.float64))
+    planes = np.moveaxis(chart, -1, 0).astype(np.float64)
 
-    def __init__(self, mask: BoolArray, chart: NDArray[np.float32], step: int) -> None:
-        rows, columns = np.nonzero(mask[::step, ::step])
-        self.seeds = np.stack([columns, rows], 1).astype(np.float64) * step
-        self.chart = chart
-        self.tree = (
-            cKDTree(chart[rows * step, columns * step].astype(np.float64)) if len(rows) else None
-        )
+    def at(pixels: Array) -> Array:
+        places = pixels.T[::-1]
+        sampled = [ndimage.map_coordinates(p, places, order=1, cval=np.nan) for p in planes]
+        return np.stack(sampled, axis=1)
 
-    def find(self, points: Array) -> Array:
-        """Return (N, 2) columns and rows by Newton steps from the nearest seed; NaN where nothing
-        shows the point."""
-        if self.tree is None or not len(points):
-            return np.full(points.shape, np.nan)
-        guess = self.seeds[self.tree.query(points)[1]]
+    def find(points: Any) -> Array:
+        wanted = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        if not len(wanted):
+            return wanted
+        pixels = seeds[tree.query(wanted)[1]].astype(np.float64)
         with np.errstate(invalid="ignore", divide="ignore"):
             for _ in range(6):
-                here, along_x, along_y = self._sample(guess)
-                miss = points - here
-                cross = along_x[:, 0] * along_y[:, 1] - along_x[:, 1] * along_y[:, 0]
-                right = (miss[:, 0] * along_y[:, 1] - miss[:, 1] * along_y[:, 0]) / cross
-                down = (along_x[:, 0] * miss[:, 1] - along_x[:, 1] * miss[:, 0]) / cross
-                guess = guess + np.clip(np.stack([right, down], 1), -60.0, 60.0)
-            here, _, _ = self._sample(guess)
-        good = np.abs(points - here).max(axis=1) < 0.01
-        return np.where(good[:, None], guess, np.nan)
+                here = at(pixels)
+                u, v = (wanted - here).T
+                # in the cell of four pixels at each place, whose chart is bilinear
+                x, y = (1e3 * (at(pixels + small) - here).T for small in 1e-3 * np.eye(2))
+                steps = np.stack([u * y[1] - v * y[0], x[0] * v - x[1] * u], axis=1)
+                pixels = pixels + np.clip(steps / (x[0] * y[1] - x[1] * y[0])[:, None], -60.0, 60.0)
+            miss = np.abs(wanted - at(pixels)).max(axis=1)
+        return np.where(miss[:, None] < 0.01, pixels, np.nan)
 
-    def _sample(self, pixels: Array) -> tuple[Array, Array, Array]:
-        """Chart and its steps per column and per row at (N, 2) positions; NaN outside the
-        finger."""
-        rows, columns = self.chart.shape[:2]
-        inside = np.isfinite(pixels).all(axis=1)
-        inside &= (
-            (pixels >= 0).all(axis=1) & (pixels[:, 0] <= columns - 1) & (pixels[:, 1] <= rows - 1)
-        )
-        safe = np.where(inside[:, None], pixels, 0.0)
-        j = np.clip(safe[:, 0].astype(np.intp), 0, max(columns - 2, 0))
-        i = np.clip(safe[:, 1].astype(np.intp), 0, max(rows - 2, 0))
-        i1, j1 = np.minimum(i + 1, rows - 1), np.minimum(j + 1, columns - 1)
-        a, b = self.chart[i, j].astype(np.float64), self.chart[i, j1].astype(np.float64)
-        c, d = self.chart[i1, j].astype(np.float64), self.chart[i1, j1].astype(np.float64)
-        fx, fy = (safe[:, 0] - j)[:, None], (safe[:, 1] - i)[:, None]
-        along_x = (1 - fy) * (b - a) + fy * (d - c)
-        along_y = (1 - fx) * (c - a) + fx * (d - b)
-        here = a + fx * (b - a) + fy * (c - a) + fx * fy * (a - b - c + d)
-        here[~inside] = np.nan
-        return here, along_x, along_y
+    return find
 
 
 def _tip(mask: BoolArray, pose: FingerPose) -> Array:
@@ -421,16 +398,8 @@ class PoseRanges:
 
     def draw(self, rng: np.random.Generator, camera: Camera) -> FingerPose:
         """Return one pose; every range takes one number from `rng`, in a fixed order."""
-        ranges = (
-            self.yaw_deg,
-            self.pitch_deg,
-            self.roll_deg,
-            self.x_mm,
-            self.insertion_mm,
-            self.height_mm,
-        )
         yaw, pitch, roll, x, insertion, height = (
-            float(low + (high - low) * rng.random()) for low, high in ranges
+            float(low + (high - low) * rng.random()) for low, high in asdict(self).values()
         )
         yaw, pitch, roll = (float(np.deg2rad(turn)) for turn in (yaw, pitch, roll))
         _, lower, upper = picture_on_plane(camera)

@@ -19,13 +19,6 @@ from scipy.spatial import cKDTree
 from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits, check_fields
-from splitknit_simulator.finger.parameters import (
-    FAN_WIDENING,
-    FLANK_ROUGHNESS,
-    MIN_PRINT_CONTRAST,
-    PERIOD_VARIATION,
-    PRINT_NOISE_SIGMA_MM,
-)
 from splitknit_simulator.finger.ridges import (
     PATTERNS,
     OrientationField,
@@ -286,8 +279,10 @@ def _periods(
     pitch = float(u_mm[1] - u_mm[0])
     shape = (v_mm.size, u_mm.size)
     widening = PROXIMAL_WIDENING * rng.uniform(0.4, 1.6)
-    logs = PERIOD_VARIATION * np.clip(smooth_noise(rng, shape, 4.0 / pitch), -2.5, 2.5)
-    logs += FAN_WIDENING * fan_log_period(field.angle_rad, pitch)
+    # the period varies by 5 % (standard deviation) over about 5 mm
+    logs = 0.05 * np.clip(smooth_noise(rng, shape, 4.0 / pitch), -2.5, 2.5)
+    # how far ridges that fan out widen before new ones start: 0 not at all, 1 as far as they can
+    logs += 0.8 * fan_log_period(field.angle_rad, pitch)
     logs = 0.2 * np.tanh(logs / 0.2)
     logs += (widening * 0.5 * (1.0 - np.tanh((v_mm - 0.45 * center) / 4.0)))[:, None]
     logs += (rng.uniform(-0.02, 0.08) * np.clip(np.abs(u_mm) / 10.0, 0.0, 1.5) ** 2)[None, :]
@@ -324,7 +319,8 @@ def ridge_profile(
     steep = rng.uniform(*settings.steepness)
     wave = np.tanh(1.2 * wave) / np.tanh(1.2)  # evens out the amplitude
     flank = np.maximum(1.0 - wave * wave, 0.0)
-    level = steep * (wave + duty + FLANK_ROUGHNESS * flank * rough)
+    # flanks are irregular by 6 % of the ridge's amplitude (standard deviation)
+    level = steep * (wave + duty + 0.06 * flank * rough)
     low = np.tanh(steep * (duty - 1.1))  # interpolation overshoots 1 a little
     ridge = ((np.tanh(level) - low) / (1.0 - low)).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(ridge, (0, 0), 0.02 / pitch), dtype=np.float32)
@@ -371,10 +367,11 @@ def master_of_print(
             cv2.GaussianBlur(field, (0, 0), sigma_mm / settings.pitch_mm), dtype=np.float32
         )
 
-    band = mean(grey, PRINT_NOISE_SIGMA_MM) - mean(grey, settings.period_mm)
+    # a Gaussian of 0.05 mm removes a scanner's noise
+    band = mean(grey, 0.05) - mean(grey, settings.period_mm)
     strength = np.sqrt(np.maximum(mean(band * band, 1.5 * settings.period_mm), 0))
     usual = float(np.quantile(strength, 0.9))
-    require(usual > MIN_PRINT_CONTRAST, "the image shows no ridges.")
+    require(usual > 0.02, "the image shows no ridges.")  # contrast relative to white
     faintest = np.float32(0.35 * usual)
     weight = (mean((strength > faintest).astype(np.float32), 2 * settings.period_mm) > 0.5).astype(
         np.float32

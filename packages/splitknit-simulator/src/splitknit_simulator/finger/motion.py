@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from splitknit import Camera
 from splitknit.settings import Checked, Limits
-from splitknit_simulator.camera.lens import pixels_of_points
+from splitknit_simulator.camera.lens import pixels_of_points, sight_lines
 from splitknit_simulator.finger.deformation import Deformation, deformed, draw_deformation
 from splitknit_simulator.finger.finger import (
     FingerPose,
@@ -26,13 +26,6 @@ from splitknit_simulator.finger.finger import (
     placement_of,
 )
 from splitknit_simulator.finger.master_print import MasterPrint
-from splitknit_simulator.finger.parameters import (
-    SLIP_FRACTION,
-    SLIP_SIGMA_MM,
-    TREMOR_FRACTION,
-    TRUTH_STEP_MM,
-    TURN_DEG_PER_MM,
-)
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.surface import Array, SimulatedSurface
 
@@ -66,6 +59,9 @@ class _MotionPath:
     reference: int
 
 
+_TREMOR_FRACTION = 0.05  # standard deviation, relative to the drift's amplitude
+
+
 def draw_path(
     rng: np.random.Generator, shots: int, settings: HandMotion, reference: int
 ) -> _MotionPath:
@@ -75,9 +71,9 @@ def draw_path(
     frequency = rng.uniform(*_TREMOR_HZ, (3, 2))
     phase = rng.uniform(0.0, 2.0 * np.pi, (3, 2))
     angle = 2.0 * np.pi * frequency * time[:, None, None] + phase
-    tremor = np.sin(angle).sum(axis=1) * (TREMOR_FRACTION * np.sqrt(2.0 / 3.0))
+    tremor = np.sin(angle).sum(axis=1) * (_TREMOR_FRACTION * np.sqrt(2.0 / 3.0))
     speed = (2.0 * np.pi * frequency * np.cos(angle)).sum(axis=1) * (
-        TREMOR_FRACTION * np.sqrt(2.0 / 3.0)
+        _TREMOR_FRACTION * np.sqrt(2.0 / 3.0)
     )
     path = drift / _spread(drift) + tremor
     scale = settings.amplitude_mm / _spread(path)
@@ -90,13 +86,14 @@ def draw_path(
         return np.asarray(values - values[reference])
 
     turned = np.deg2rad(settings.amplitude_mm)
+    # between two shots a finger turns by at most 1.5 deg, its skin slips by 0.1 mm, a mm of motion
     return _MotionPath(
         time_s=time,
         shift_mm=against(path * scale),
         speed_mm_per_s=speed * scale,
-        yaw_rad=against(yaw * turned * TURN_DEG_PER_MM),
-        roll_rad=against(roll * turned * TURN_DEG_PER_MM),
-        slip=against(slip / _spread(slip) * settings.amplitude_mm * SLIP_FRACTION),
+        yaw_rad=against(yaw * turned * 1.5),
+        roll_rad=against(roll * turned * 1.5),
+        slip=against(slip / _spread(slip) * settings.amplitude_mm * 0.1),
         reference=reference,
     )
 
@@ -162,7 +159,7 @@ class _MovingFinger:
         beside the finger.
         """
         path = self.path
-        step = max(1, round(TRUTH_STEP_MM * self.camera.px_per_mm))
+        step = max(1, round(0.5 * self.camera.px_per_mm))  # every 0.5 mm
         rows, columns = (np.arange(step // 2, n, step) for n in reference.mask.shape)
         grid = np.ix_(rows, columns)
         inside = reference.mask[grid]
@@ -170,7 +167,8 @@ class _MovingFinger:
         here = np.stack(
             [at[inside] for at in np.meshgrid(columns.astype(np.float64), rows.astype(np.float64))]
         )
-        points = _points(reference, grid, inside, here)
+        smooth = reference.shape_mm[grid][inside]
+        points = sight_lines(self.camera, here[0], here[1]).at(smooth)
         body = FingerBody(self.finger.shape)
         on_finger = np.stack(placement_of(body, self.pose, self.camera).to_finger(*points))
         for shot in range(len(path.time_s)):
@@ -190,6 +188,9 @@ class _MovingFinger:
         }
 
 
+_SLIP_SIGMA_MM = 5.0  # smooths the slip over the skin
+
+
 def moving_finger(
     finger: SimulatedFinger,
     pose: FingerPose,
@@ -201,28 +202,12 @@ def moving_finger(
     slip."""
     master = finger.master()
     rng = np.random.default_rng(seed)
-    unit_mm = 0.1 * SLIP_SIGMA_MM
-    fields = [draw_deformation(rng, master, unit_mm, SLIP_SIGMA_MM) for _ in "12"]
+    unit_mm = 0.1 * _SLIP_SIGMA_MM
+    fields = [draw_deformation(rng, master, unit_mm, _SLIP_SIGMA_MM) for _ in "12"]
     first, second = (
         Deformation(drawn.u_mm, drawn.v_mm, drawn.shift_mm * (1 / unit_mm)) for drawn in fields
     )
     return _MovingFinger(finger, pose, camera, master, path, (first, second))
-
-
-def _points(
-    surface: SimulatedSurface, grid: Any, inside: NDArray[np.bool_], here: Array
-) -> tuple[Array, Array, Array]:
-    """x, y and z (N,) of the smooth skin at some pixels; of a perspective camera, of the skin
-    itself."""
-    if surface.x_mm is not None and surface.y_mm is not None:
-        x, y, z = (
-            part[grid][inside].astype(np.float64)
-            for part in (surface.x_mm, surface.y_mm, surface.height_mm)
-        )
-        return x, y, z
-    (height, width), pitch = surface.mask.shape, surface.camera.pitch_mm
-    x, y = (here[0] - (width - 1) / 2) * pitch, ((height - 1) / 2 - here[1]) * pitch
-    return x, y, surface.shape_mm[grid][inside].astype(np.float64)
 
 
 def _slip(body: FingerBody, points: Array, slip: Deformation) -> Array:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import Camera
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
-from splitknit_simulator.camera.lens import slopes_of_pixels
+from splitknit_simulator.camera.lens import SightLines, sight_lines
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import SkinMap
 from splitknit_simulator.surface import Array, SimulatedSurface
@@ -21,79 +21,18 @@ from splitknit_simulator.surface import Array, SimulatedSurface
 Triple = tuple[Array, Array, Array]
 
 
-# Lines of sight: parallel ones of an orthographic camera, spreading ones of a perspective camera.
+def rays_of(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> SightLines:
+    """The lines of sight of all pixels in these rows and columns, row by row."""
+    lines = sight_lines(camera, columns[None, :], rows[:, None])
+    return SightLines(*(part.ravel() for part in lines))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rays:
-    """Lines of sight, parametrised by their height: at z a ray passes (x - z slope_x, y - z
-    slope_y, z), in mm."""
-
-    x: Array  # (N,) where they meet the finger plane
-    y: Array
-    # (N,) each: how far they move along x and y per mm downwards; None: they are parallel to z
-    slopes: tuple[Array, Array] | None = None
-
-    def some(self, which: NDArray[np.intp] | BoolArray) -> _Rays:
-        """The rays with these indices."""
-        slopes = None if self.slopes is None else (self.slopes[0][which], self.slopes[1][which])
-        return _Rays(self.x[which], self.y[which], slopes)
-
-    def at(self, z: Array) -> Triple:
-        """(N,) x, y and z of the points at heights `z`."""
-        if self.slopes is None:
-            return self.x, self.y, z
-        return self.x - self.slopes[0] * z, self.y - self.slopes[1] * z, z
-
-    def rise(self, rotation: Array, gx: Array, gy: Array, gz: Array) -> Array:
-        """(N,) change of a function per mm of height along the rays, from its gradient in the
-        finger's frame."""
-        up = gx * rotation[2, 0] + gy * rotation[2, 1] + gz * rotation[2, 2]
-        if self.slopes is None:
-            return np.asarray(up)
-        along_x, along_y = (gx * r[0] + gy * r[1] + gz * r[2] for r in rotation[:2])
-        return np.asarray(up - self.slopes[0] * along_x - self.slopes[1] * along_y)
-
-    def along(self, vectors: Array) -> Array:
-        """(N,) change per mm of height along the rays, from the gradient (N, 3) in the camera's
-        frame."""
-        if self.slopes is None:
-            return vectors[:, 2]
-        return vectors[:, 2] - self.slopes[0] * vectors[:, 0] - self.slopes[1] * vectors[:, 1]
-
-    def length(self) -> Array | float:
-        """(N,) mm of the rays per mm of height."""
-        return (
-            1.0 if self.slopes is None else np.sqrt(1.0 + self.slopes[0] ** 2 + self.slopes[1] ** 2)
-        )
-
-    def turn_to_view(self, normals: Array, least: float = 1e-3) -> None:
-        """Turn unit vectors (N, 3) whose cosine with the direction to the viewer is below `least`,
-        in place."""
-        cosine = self.along(normals) / self.length()
-        away = cosine < least
-        if self.slopes is None:
-            normals[away, 2] = least
-        else:
-            view = np.stack(
-                [-self.slopes[0][away], -self.slopes[1][away], np.ones(np.count_nonzero(away))],
-                axis=1,
-            )
-            view /= np.linalg.norm(view, axis=1, keepdims=True)
-            normals[away] += (least - cosine[away])[:, None] * view
-        normals[away] /= np.sqrt((normals[away] ** 2).sum(axis=1, keepdims=True))
-
-
-def rays_of(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> _Rays:
-    """The rays of all pixels in these rows and columns, row by row."""
-    if camera.model == "perspective":
-        across, up = slopes_of_pixels(camera, columns[None, :], rows[:, None])
-        across, up = across.ravel(), up.ravel()
-        return _Rays(across * camera.height_mm, up * camera.height_mm, (across, up))
-    x = (columns - (camera.image_size[1] - 1) / 2) / camera.px_per_mm
-    y = ((camera.image_size[0] - 1) / 2 - rows) / camera.px_per_mm
-    grid_x, grid_y = np.meshgrid(x, y)
-    return _Rays(grid_x.ravel(), grid_y.ravel())
+def _turned_to_view(normals: Array, rays: SightLines) -> Array:
+    """Unit vectors (N, 3); those whose cosine with the direction to the viewer is below a
+    thousandth are turned to it."""
+    missing = np.maximum(1e-3 - rays.along(*normals.T) / rays.length, 0.0)
+    turned = normals + missing[:, None] * rays.towards_camera
+    return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
 
 Gap = Callable[[NDArray[np.intp], Array], Array]
@@ -167,9 +106,6 @@ def _polish(gap: Gap, depth: Array, facing: Array, met: BoolArray) -> tuple[Arra
     return result, close
 
 
-_NOTHING_SEEN = "the camera sees nothing of the finger; change the pose or the image size."
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
     """Where the finger's frame lies in the camera's: camera = rotation @ finger + shift."""
@@ -202,132 +138,106 @@ class PlacedFinger:
     placement: Placement
 
 
-class CoarseHits(NamedTuple):
-    """Where the finger is seen on a coarse grid of pixels."""
-
-    step: int
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
-    seen: BoolArray  # (rows, columns)
-
-
-def coarse_hits(
-    body: FingerBody, placement: Placement, camera: Camera, box: tuple[slice, slice], top: float
-) -> CoarseHits:
-    """Where rays of the rows and columns `box`, 0.4 mm apart, meet the smooth finger below the
-    height `top`."""
-    step = max(1, int(0.4 * camera.px_per_mm))
+def _near(finger: PlacedFinger, camera: Camera, box: tuple[slice, slice], top: float) -> BoolArray:
+    """(h, w) pixels of the box near which rays meet the smooth finger below the height `top`."""
+    step = max(1, int(0.4 * camera.px_per_mm))  # rays 0.4 mm apart
     rows, columns = (np.arange(part.start, part.stop + step, step) for part in box)
-    rays = rays_of(camera, rows, columns)
-    _, hit = meet_body(body, placement, rays, np.full(rays.x.size, top))
-    return CoarseHits(step, rows, columns, hit.reshape(rows.size, columns.size))
+    _, hit = meet_body(finger.body, finger.placement, rays_of(camera, rows, columns), top)
+    seen = hit.reshape(rows.size, columns.size).astype(np.uint8)
+    wide = cv2.dilate(seen, np.ones((5, 5), np.uint8)) > 0
+    fine = np.repeat(np.repeat(wide, step, axis=0), step, axis=1)
+    return fine[: box[0].stop - box[0].start, : box[1].stop - box[1].start]
 
 
-def _hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice, slice]:
-    """Rows and columns of the image that can show the finger."""
-    rows, columns = (slice(0, length) for length in camera.image_size)
-    hits = coarse_hits(body, placement, camera, (rows, columns), above(body, placement))
-    require(bool(hits.seen.any()), _NOTHING_SEEN)
-    parts = []
-    for places, seen, length in zip(
-        hits[1:3], (hits.seen.any(axis=1), hits.seen.any(axis=0)), camera.image_size, strict=True
-    ):
-        first, last = places[seen][[0, -1]]
-        parts.append(
-            slice(max(0, int(first) - 2 * hits.step), min(length, int(last) + 2 * hits.step))
-        )
-    return parts[0], parts[1]
-
-
-_SHAPES: tuple[tuple[int, ...], ...] = ((), (), (3,), (3,), (), (), (2,), (), ())
+_SHAPES: tuple[tuple[int, ...], ...] = ((), (), (3,), (3,), (), (), (2,))
 """Shapes of the values that :func:`cast_rays` returns for a ray. Source: definition."""
-_EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan, np.nan, np.nan)
+_EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan)
 """The same values where a ray meets nothing. Source: definition."""
-Cast = Callable[[NDArray[np.intp]], tuple[NDArray[np.intp], Sequence[Array | FloatArray]]]
 
 
-def fill_surface(
-    camera: Camera, box: tuple[slice, slice], cast: Cast, workers: int
+def surface_of(
+    finger: PlacedFinger,
+    camera: Camera,
+    box: tuple[slice, slice],
+    heights: tuple[float, float | None],
+    workers: int,
+    *,
+    reach_mm: float = np.inf,
 ) -> SimulatedSurface:
-    """Show what the rays of the rows and columns `box` of the camera's pixels meet, with its chart.
+    """The first points of a placed finger on the rays of the rows and columns `box` of the camera's
+    pixels, with its chart.
 
-    `cast` takes rows; it gives the places, among their pixels of the box, whose rays meet skin, and
-    for those what :func:`cast_rays` returns. The result does not depend on `workers`, threads.
+    `heights`: one above the finger, and one down to which rays that run along it are followed, see
+    :func:`cast_rays`; `reach_mm`: of its skin from the first crease towards the palm. The result
+    does not depend on `workers`, threads.
     """
-    kinds = list(zip(_SHAPES, _EMPTY, strict=True))[: 9 if camera.model == "perspective" else 7]
     arrays = [
-        np.full((*camera.image_size, *shape), empty, dtype=np.float32) for shape, empty in kinds
+        np.full((*camera.image_size, *shape), empty, dtype=np.float32)
+        for shape, empty in zip(_SHAPES, _EMPTY, strict=True)
     ]
-    across = _range(box[1])
-    tall = 4 * max(4, 6000 // across.size)  # about 24000 pixels fit the cache
+    near = _near(finger, camera, box, heights[0])
+    rows, columns = (np.arange(part.start, part.stop) for part in box)
+    tall = 4 * max(4, 6000 // columns.size)  # about 24000 pixels fit the cache
 
     def fill(first: int) -> None:
-        down = np.arange(first, min(first + tall, box[0].stop))
-        place, values = cast(down)
-        if place.size:
-            for array, value in zip(arrays, values, strict=True):
-                array[down[place // across.size], across[place % across.size]] = value
+        down, wanted = rows[first : first + tall], np.flatnonzero(near[first : first + tall])
+        rays = rays_of(camera, down, columns).some(wanted)
+        index, values = cast_rays(finger, rays, *heights)
+        _, along, _ = finger.placement.to_finger(*rays.some(index).at(values[0]))
+        bare = along > -reach_mm
+        row, column = np.divmod(wanted[index[bare]], columns.size)
+        for array, value in zip(arrays, values, strict=True):
+            array[down[row], columns[column]] = value[bare]
 
-    with ThreadPoolExecutor(max_workers=max(workers, 1)) as pool:
-        list(pool.map(fill, range(box[0].start, box[0].stop, tall)))
-    height, shape_height, normals, shape_normals, relief, pigment, chart, *places = arrays
-    x_mm, y_mm = places or (None, None)
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        list(pool.map(fill, range(0, rows.size, tall)))
+    height, shape_height, normals, shape_normals, relief, pigment, chart = arrays
     return SimulatedSurface(
         camera, height, shape_height, normals, shape_normals, relief, np.isfinite(height), pigment,
-        x_mm=x_mm, y_mm=y_mm, chart=chart,
+        chart=chart,
     )  # fmt: skip
 
 
 def finger_in_view(finger: PlacedFinger, camera: Camera, workers: int) -> SimulatedSurface:
     """The first points of a placed finger on the rays of all pixels; BadInput if the camera sees
     nothing of it."""
-    body, placement = finger.body, finger.placement
-    box = _hits(body, placement, camera)
-
-    def cast(down: NDArray[np.intp]) -> tuple[NDArray[np.intp], Sequence[Array | FloatArray]]:
-        rays = rays_of(camera, down, _range(box[1]))
-        part = slice(int(down[0]), int(down[-1]) + 1)
-        return cast_rays(finger, rays, _first_guess(body, placement, camera, (part, box[1])))
-
-    surface = fill_surface(camera, box, cast, workers)
-    require(bool(surface.mask.any()), _NOTHING_SEEN)
+    rows, columns = camera.image_size
+    box = slice(0, rows), slice(0, columns)
+    top = above(finger.body, finger.placement)
+    surface = surface_of(finger, camera, box, (top, None), workers)
+    words = "the camera sees nothing of the finger; change the pose or the image size."
+    require(surface.mask.any(), words)
     return surface
 
 
 def cast_rays(
-    finger: PlacedFinger, rays: _Rays, start: Array, *, bottom: float | None = None
+    finger: PlacedFinger, rays: SightLines, top: float, bottom: float | None
 ) -> tuple[NDArray[np.intp], tuple[Array | FloatArray, ...]]:
     """Which of the rays meet the skin, and for those height, shape height, normals, shape normals,
-    relief (um), pigment and chart; of a perspective camera also x and y of the skin (mm), which do
-    not follow from the grid.
+    relief (um), pigment and chart.
 
-    The search goes down from the heights `start`, which must lie above the finger. The placement
+    The search goes down from the height `top`, which must lie above the finger. The placement
     may be left-handed: a finger behind a mirror. Rays that run along the finger, where it is not
     convex, are followed down to `bottom` where it is given.
     """
     body, placement = finger.body, finger.placement
-    z_shape, hit = meet_body(body, placement, rays, start)
+    z_shape, hit = meet_body(body, placement, rays, top)
     if bottom is not None and not hit.all():
-        _meet_along(body, placement, rays, (start, bottom), (z_shape, hit))
+        _meet_along(body, placement, rays, (top, bottom), (z_shape, hit))
     hit &= body.encloses(*placement.to_finger(*rays.at(z_shape)))
     index = np.nonzero(hit)[0]
     rays, z_shape = rays.some(index), z_shape[index]
     _, gx, gy, gz = body.value_and_gradient(*placement.to_finger(*rays.at(z_shape)))
     shape_normals = placement.normal_to_camera(gx, gy, gz)
-    z, valid = _meet_skin(finger, rays, z_shape, rays.along(shape_normals))
+    z, valid = _meet_skin(finger, rays, z_shape, rays.along(*shape_normals.T))
     index, rays, z = index[valid], rays.some(valid), z[valid]
-    x, y, z = rays.at(z)
-    normals, relief, u, v = _skin_normals(finger, (x, y, z))
-    rays.turn_to_view(normals)  # a few rays that only touch a ridge: no visible skin faces away
-    places = () if rays.slopes is None else (x, y)
+    normals, relief, u, v = _skin_normals(finger, rays.at(z))
+    # a few rays only touch a ridge: no visible skin faces away
+    normals = _turned_to_view(normals, rays)
     return index, (
         z, z_shape[valid], normals, shape_normals[valid], 1e3 * relief,
-        finger.skin.pigment_at(u, v), np.stack([u, v], -1), *places,
+        finger.skin.pigment_at(u, v), np.stack([u, v], -1),
     )  # fmt: skip
-
-
-def _range(part: slice) -> NDArray[np.intp]:
-    return np.arange(part.start, part.stop)
 
 
 def above(body: FingerBody, placement: Placement) -> float:
@@ -335,42 +245,18 @@ def above(body: FingerBody, placement: Placement) -> float:
     return float(placement.shift[2]) + 0.62 * body.shape.thickness_mm + 2.0
 
 
-def _first_guess(
-    body: FingerBody, placement: Placement, camera: Camera, block: tuple[slice, slice]
-) -> Array:
-    """Heights to start from, (N,): the body met on every fourth pixel, interpolated; from above
-    near the outline."""
-    step = 4
-    rows, columns = _range(block[0]), _range(block[1])
-    some_rows = np.arange(rows[0], rows[-1] + step + 1, step)
-    some_columns = np.arange(columns[0], columns[-1] + step + 1, step)
-    rays = rays_of(camera, some_rows, some_columns)
-    high = above(body, placement)
-    z, hit = meet_body(body, placement, rays, np.full(rays.x.size, high))
-    z = np.where(hit, z, np.nan).reshape(some_rows.size, some_columns.size)
-    i, fi = np.divmod(rows - rows[0], step)
-    j, fj = np.divmod(columns - columns[0], step)
-    down, right = (fi / step)[:, None], (fj / step)[None, :]
-    corners = [z[np.ix_(i + di, j + dj)] for di in (0, 1) for dj in (0, 1)]
-    guess = (1 - down) * ((1 - right) * corners[0] + right * corners[1])
-    guess += down * ((1 - right) * corners[2] + right * corners[3])
-    rough = ~(np.ptp(np.stack(corners), axis=0) < 4.0 * step / camera.px_per_mm)
-    guess[rough] = high
-    return np.asarray(guess.ravel(), dtype=np.float64)
-
-
 def meet_body(
-    body: FingerBody, placement: Placement, rays: _Rays, start: Array
+    body: FingerBody, placement: Placement, rays: SightLines, top: float
 ) -> tuple[Array, BoolArray]:
-    """Newton from above: heights of the front intersection with a body that is convex along every
-    ray."""
-    z = start.copy()
+    """Newton from the height `top`: heights of the front intersection with a body that is convex
+    along every ray."""
+    z = np.full(rays.x.size, top)
     settled = np.zeros(z.shape, dtype=np.bool_)
     active = np.arange(z.size)
     for _ in range(24):
         here = rays.some(active)
         value, *gradient = body.value_and_gradient(*placement.to_finger(*here.at(z[active])))
-        slope = here.rise(placement.rotation, *gradient)
+        slope = here.along(*np.tensordot(placement.rotation, gradient, 1))
         step = value / np.maximum(slope, 1e-12)
         ahead = slope > 1e-4
         z[active] -= np.where(ahead, step, 0.0)
@@ -385,15 +271,15 @@ def meet_body(
 def _meet_along(
     body: FingerBody,
     placement: Placement,
-    rays: _Rays,
-    heights: tuple[Array, float],
+    rays: SightLines,
+    heights: tuple[float, float],
     hits: tuple[Array, BoolArray],
 ) -> None:
     """Follow the rays that Newton's steps lost, in small steps; heights and hits of `found` are
     changed in place."""
-    (start, bottom), (z, settled) = heights, hits
+    (top, bottom), (z, settled) = heights, hits
     which = np.nonzero(~settled)[0]
-    here = start[which].copy()
+    here = np.full(which.size, top)
     while which.size:
         here = here - 0.5
         value, *_ = body.value_and_gradient(*placement.to_finger(*rays.some(which).at(here)))
@@ -414,7 +300,7 @@ def _meet_along(
 
 
 def _meet_skin(
-    finger: PlacedFinger, rays: _Rays, z0: Array, facing: Array
+    finger: PlacedFinger, rays: SightLines, z0: Array, facing: Array
 ) -> tuple[Array, BoolArray]:
     """Go down every ray from the smooth skin to the displaced one: (N,) heights, and which rays met
     it.
@@ -426,7 +312,7 @@ def _meet_skin(
     """
     body, skin, placement = finger.body, finger.skin, finger.placement
     model = _ray_model(body, placement, rays, z0, facing)
-    length = rays.length()
+    length = rays.length
     cosine = np.minimum(facing / length, 1.0)
     bound = np.where(cosine < 0.75, facing + 0.9 * length * np.sqrt(1.0 - cosine**2), facing)
 
@@ -452,7 +338,7 @@ def _meet_skin(
 
 
 def _ray_model(
-    body: FingerBody, placement: Placement, rays: _Rays, z0: Array, facing: Array
+    body: FingerBody, placement: Placement, rays: SightLines, z0: Array, facing: Array
 ) -> list[tuple[Array, Array, Array]]:
     """Quadratics in the depth under the smooth skin for distance, u and v along every ray."""
     step = 0.05 / np.maximum(facing, 0.2)

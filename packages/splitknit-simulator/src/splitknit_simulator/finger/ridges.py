@@ -19,12 +19,6 @@ from scipy.sparse.linalg import spsolve
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit_simulator.finger.parameters import (
-    PERIOD_STIFFNESS,
-    RING_BANDWIDTH,
-    RING_SPACING,
-    SMOOTHING_PERIODS,
-)
 from splitknit_simulator.surface import Array
 
 Point = tuple[float, float]
@@ -226,7 +220,8 @@ def fan_log_period(angle_rad: Array, pitch_mm: float) -> Array:
     gradient_u, gradient_v = _difference_matrices(rows, columns, h)
     cosine, sine = (sparse.diags_array(part.ravel()) for part in (along.real, along.imag))
     streamwise = cosine @ gradient_u + sine @ gradient_v
-    system = streamwise.T @ streamwise + PERIOD_STIFFNESS * sparse.eye_array(rows * columns)
+    # keeps the logarithm of the period small, against its fit to the divergence; 1/mm^2
+    system = streamwise.T @ streamwise + 0.02 * sparse.eye_array(rows * columns)
     system += 0.3 * (gradient_u.T @ gradient_u + gradient_v.T @ gradient_v)
     solution = spsolve(sparse.csc_array(system), streamwise.T @ divergence.ravel()).reshape(
         rows, columns
@@ -275,7 +270,8 @@ def grow_ridges(
     mean_period = float(np.median(period_px))
     # Passes of (3, 4, 3) / 10 at distances d, 2 d and 4 d make a bell along the streamline; d is
     # too short to alias.
-    distances = [factor * SMOOTHING_PERIODS * mean_period for factor in (0.26, 0.52, 1.04)]
+    # the bell's standard deviation is 1.1 periods
+    distances = [factor * 1.1 * mean_period for factor in (0.26, 0.52, 1.04)]
     maps = [_streamline_maps(angle_rad, distance, 2 + k) for k, distance in enumerate(distances)]
     bank = _ring_bank(noise.shape, period_px)
     ridges = wave = noise.astype(np.float32)
@@ -332,14 +328,16 @@ def _ring_bank(shape: tuple[int, ...], period_px: Array) -> list[tuple[FloatArra
     """Ring filters at geometrically spaced frequencies, each with the (H, W) weights that blend it
     with neighbours."""
     low, high = float(np.log(period_px.min())), float(np.log(period_px.max()))
-    count = max(2, int(np.ceil((high - low) / np.log(RING_SPACING))) + 1)
+    # neighbouring rings differ in frequency by a factor of 1.16 at most
+    count = max(2, int(np.ceil((high - low) / np.log(1.16))) + 1)
     centers = np.linspace(low, high, count)
     frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :])
     position = (np.log(period_px) - low) / max(high - low, 1e-9) * (count - 1)
     bank = []
     for k, center in enumerate(centers):
         f0 = float(np.exp(-center))
-        ring = np.exp(-0.5 * ((frequency - f0) / (RING_BANDWIDTH * f0)) ** 2).astype(np.float32)
+        # a ring's width (standard deviation) is a fifth of its frequency
+        ring = np.exp(-0.5 * ((frequency - f0) / (0.2 * f0)) ** 2).astype(np.float32)
         bank.append((ring, np.clip(1.0 - np.abs(position - k), 0.0, 1.0).astype(np.float32)))
     return bank
 

@@ -9,7 +9,6 @@ from scipy import ndimage
 
 from splitknit.model import FloatArray
 from splitknit_simulator.finger.master_print import MasterPrint
-from splitknit_simulator.finger.parameters import UNDULATION_SIGMA_MM
 from splitknit_simulator.finger.ridges import smooth_noise
 from splitknit_simulator.surface import Array
 
@@ -120,7 +119,7 @@ def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap
         soft = smooth_noise(
             np.random.default_rng([master.seed, 0x5C2]),
             master.ridge.shape,
-            UNDULATION_SIGMA_MM / pitch,
+            1.6 / pitch,  # mm; bumps some 5 mm wide
         )
         displacement += settings.undulation_mm * (soft - soft.max())
     pigment = (1.0 - shade) * (1.0 - settings.pore_darkening * master.pores * flatten)

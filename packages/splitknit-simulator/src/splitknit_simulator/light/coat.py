@@ -4,21 +4,23 @@ noise-free, linear."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import Camera, Led
 from splitknit.model import BoolArray, FloatArray
-from splitknit_simulator.light.lighting import Patch, angular_size, towards
-from splitknit_simulator.light.parameters import (
-    DUST_DENSITY_MG_PER_MM3,
-    GRAIN_ALBEDO,
-    GRAIN_MEDIAN_UM,
-    GRAIN_SPREAD,
-    REFRACTIVE_INDEX,
+from splitknit_simulator.light.lighting import (
+    Patch,
+    Values,
+    Vectors,
+    angular_size,
+    dot,
+    reflected,
+    towards,
 )
-from splitknit_simulator.light.skin import diffuse_transmittance, fresnel
+from splitknit_simulator.light.skin import REFRACTIVE_INDEX, diffuse_transmittance, fresnel
 from splitknit_simulator.surface import WATER_INDEX, Coat, Film, Grains
 
 _MAX_DUST_MG_PER_CM2 = 0.64
@@ -29,6 +31,10 @@ _LARGEST_GRAIN_UM = 250.0
 
 
 # Dust: how many grains of what size, and where they and their shadows lie in the picture.
+_GRAIN_MEDIAN_UM = 20.0
+"""Median diameter of dust grains, by number; by area their mean is 47 um. Dust under 100 um sticks
+to skin (Cao et al. 2012)."""
+DUST_DENSITY_MG_PER_MM3 = 2.0  # soil and house dust have 1.5 to 2.6
 
 
 def draw_grains(
@@ -38,8 +44,8 @@ def draw_grains(
 
     `nz` (H, W): z component of the shape's normals: a pixel on a slant shows more skin.
     """
-    spread = float(np.log(GRAIN_SPREAD))
-    volume = np.pi / 6.0 * (1e-3 * GRAIN_MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
+    spread = float(np.log(1.8))  # geometric standard deviation of diameters
+    volume = np.pi / 6.0 * (1e-3 * _GRAIN_MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
     per_mm2 = severity * _MAX_DUST_MG_PER_CM2 / 100.0 / (volume * DUST_DENSITY_MG_PER_MM3)
     rows, columns = mask.shape
     # drawn over the whole frame in mm and then thinned, so that every scale of the picture shows
@@ -49,8 +55,8 @@ def draw_grains(
     count = int(rng.poisson(steep * per_mm2 * width * height))
     place = rng.random((2, count))
     column, row = place[0] * columns - 0.5, place[1] * rows - 0.5
-    diameter = 1e-3 * GRAIN_MEDIAN_UM * np.exp(spread * rng.standard_normal(count))
-    albedo = rng.uniform(*GRAIN_ALBEDO, count)
+    diameter = 1e-3 * _GRAIN_MEDIAN_UM * np.exp(spread * rng.standard_normal(count))
+    albedo = rng.uniform(0.08, 0.6, count)  # from soot and soil to flour and skin scales
     chance = rng.random(count)
     i = np.clip(np.rint(row).astype(np.intp), 0, rows - 1)
     j = np.clip(np.rint(column).astype(np.intp), 0, columns - 1)
@@ -140,9 +146,6 @@ class CoatedPatch:
             grains, column=grains.column - columns.start, row=grains.row - rows.start
         )
         self.body = _apart(body)
-        self.normal = (patch.nx, patch.ny, patch.nz)
-        zeros, ones = np.zeros_like(patch.nz), np.ones_like(patch.nz)
-        self.view: Vectors = (zeros, zeros, ones) if patch.view is None else patch.view
         shape = patch.mask.shape
         self.hidden = np.zeros(shape, dtype=np.float32)
         if self.grains is not None:
@@ -161,7 +164,7 @@ class CoatedPatch:
         if self.scales is not None:
             fraction = fraction * (1.0 - self.scales)
         if self.film is not None:
-            cosine = np.clip(_dot(_apart(self.film.normals), self.view), 0.05, 1.0)
+            cosine = np.clip(dot(_apart(self.film.normals), self.patch.view), 0.05, 1.0)
             through = (1.0 - fresnel(cosine, WATER_INDEX)) / diffuse_transmittance(WATER_INDEX)
             bare = (1.0 - fresnel(np.clip(self.patch.nv, 0.05, 1.0))) / diffuse_transmittance()
             fraction = fraction * (1.0 + self.film.fraction * (through / bare - 1.0))
@@ -179,9 +182,8 @@ class CoatedPatch:
         patch = self.patch
         sums = np.zeros((3, *patch.mask.shape), dtype=np.float32)
         for lamp in (led, *led.also):
-            lx, ly, lz, strength = towards(lamp, patch.x, patch.y, patch.z)
             parts = self._lit(
-                (lx, ly, lz), np.asarray(strength), angular_size(lamp, led_radius_mm), glare
+                *towards(lamp, patch.points), angular_size(lamp, led_radius_mm), glare
             )
             for k, part in enumerate(parts):
                 sums[k] += part
@@ -191,14 +193,13 @@ class CoatedPatch:
         self, light: Vectors, strength: Values, size: float, glare: float
     ) -> tuple[Values, Values, Values]:
         patch = self.patch
-        cosine = np.maximum(_dot(light, self.normal), 0.0)
+        cosine = np.maximum(dot(light, self.patch.normal), 0.0)
         entering = strength * cosine * (1.0 - fresnel(cosine))
-        gloss = glare * _reflected(
-            self.normal,
+        gloss = glare * reflected(
+            self.patch.normal,
             light,
-            self.view,
+            self.patch.view,
             np.minimum(np.asarray(self.across) + size, 1.0),
-            index=REFRACTIVE_INDEX,
             along=self.along,
             roughness_along=None
             if self.lengthwise is None
@@ -210,8 +211,12 @@ class CoatedPatch:
             entering = entering + film.fraction * (
                 self._under_water(light, strength, normal) - entering
             )
-            water = _reflected(
-                normal, light, self.view, np.minimum(film.roughness + size, 1.0), index=WATER_INDEX
+            water = reflected(
+                normal,
+                light,
+                self.patch.view,
+                np.minimum(film.roughness + size, 1.0),
+                index=WATER_INDEX,
             )
             gloss = gloss + film.fraction * (water - gloss)
         if self.scales is not None:
@@ -221,27 +226,28 @@ class CoatedPatch:
         if self.grains is not None:
             free = 1.0 - self._shadow(light)
             seen = 1.0 - self.hidden
-            phase = np.arccos(np.clip(_dot(light, self.view), -1.0, 1.0)).astype(np.float32)
+            phase = np.arccos(np.clip(dot(light, self.patch.view), -1.0, 1.0)).astype(np.float32)
             dust = self.grain_albedo * _sphere_brightness(phase) * strength / np.pi
             # a ball rises above the skin's shadow
-            dust = dust * np.clip(0.5 + 2.0 * _dot(light, self.body), 0.0, 1.0)
+            dust = dust * np.clip(0.5 + 2.0 * dot(light, self.body), 0.0, 1.0)
             entering, gloss, extra = entering * free, gloss * free * seen, extra * seen + dust
         parts = (np.where(patch.mask, part, 0.0) for part in (entering, gloss, extra))
         entering, gloss, extra = parts
         return entering, gloss, extra
 
-    def _under_water(self, light: Vectors, strength: Values, normal: Vectors) -> Values:
+    def _under_water(self, light: Vectors, strength: Values, normal: Vectors) -> Any:
         """Light that enters the skin below the water's surface.
 
         The flux through the surface goes on in the refracted direction; the skin's facet takes its
         cosine of it.
         """
-        above = np.maximum(_dot(light, normal), 0.0)
+        above = np.maximum(dot(light, normal), 0.0)
         below = np.sqrt(np.maximum(1.0 - (1.0 - above * above) / WATER_INDEX**2, 0.0))
         stretch = below - above / WATER_INDEX
-        x, y, z = (part / WATER_INDEX + stretch * n for part, n in zip(light, normal, strict=True))
-        bent = (x, y, z)
-        on_skin = np.maximum(_dot(bent, self.normal), 0.0)
+        bent = tuple(
+            part / WATER_INDEX + stretch * n for part, n in zip(light, normal, strict=True)
+        )
+        on_skin = np.maximum(dot(bent, self.patch.normal), 0.0)
         within = strength * above * (1.0 - fresnel(above, WATER_INDEX)) / below
         return within * on_skin * (1.0 - fresnel(on_skin, REFRACTIVE_INDEX / WATER_INDEX))
 
@@ -266,69 +272,3 @@ class CoatedPatch:
 
 def _apart(vectors: FloatArray) -> Vectors:
     return vectors[..., 0], vectors[..., 1], vectors[..., 2]
-
-
-# Light that a surface with two roughnesses reflects: GGX microfacets, anisotropic, pixel by pixel.
-
-Values = NDArray[np.floating]
-Vectors = tuple[Values, Values, Values]
-
-
-def _dot(a: Vectors, b: Vectors) -> Values:
-    """Inner products of vectors given as three arrays each."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _reflected(
-    normal: Vectors,
-    light: Vectors,
-    view: Vectors,
-    across: Values | float,
-    *,
-    index: float,
-    along: Vectors | None = None,
-    roughness_along: Values | float | None = None,
-) -> Values:
-    """(h, w) radiance towards `view` per unit of irradiance that a surface facing the light
-    receives: D G F / (4 n.v).
-
-    Vectors are three (h, w) arrays, unit, out of the surface; the GGX alpha is `across` across
-    `along` and everywhere where there is no direction, and `roughness_along` along it. Walter et
-    al. 2007, equations (20), (33), (34); Burley 2012 and Heitz 2014, equations (85) and (86), for
-    two roughnesses.
-    """
-    nl, nv = _dot(normal, light), np.clip(_dot(normal, view), 1e-3, 1.0)
-    lv = _dot(light, view)
-    inverse = 1.0 / np.sqrt(np.maximum(2.0 + 2.0 * lv, 1e-6))
-    half = (
-        (light[0] + view[0]) * inverse,
-        (light[1] + view[1]) * inverse,
-        (light[2] + view[2]) * inverse,
-    )
-    nh = np.clip(_dot(normal, half), 0.0, 1.0)
-    lit = nl > 0.0
-    nl = np.maximum(nl, 1e-4)
-    first = across if along is None or roughness_along is None else roughness_along
-
-    def squashed(direction: Vectors, cosine: Values, power: int) -> Values:
-        """Sum of the squared tangential parts of a direction, times (or over) the squared
-        roughnesses."""
-        sine = np.maximum(1.0 - cosine * cosine, 0.0)
-        part = (
-            np.zeros_like(sine) if along is None else np.minimum(_dot(along, direction) ** 2, sine)
-        )
-        first2, across2 = np.square(first), np.square(across)
-        rest = sine - part
-        return np.asarray(
-            part * first2 + rest * across2 if power > 0 else part / first2 + rest / across2
-        )
-
-    below = squashed(half, nh, -1) + nh * nh
-    distribution = 1.0 / (np.pi * first * across * below * below)
-
-    def unshadowed(direction: Vectors, cosine: Values) -> Values:
-        return 2.0 / (1.0 + np.sqrt(1.0 + squashed(direction, cosine, 1) / (cosine * cosine)))
-
-    shadowing = unshadowed(light, nl) * unshadowed(view, nv)
-    mirror = fresnel((lv + 1.0) * inverse, index)
-    return np.where(lit, distribution * shadowing * mirror / (4.0 * nv), 0.0)

@@ -18,15 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput, Led, Rig
-from splitknit.model import FloatArray, side_lights
+from splitknit.model import FloatArray
+from splitknit.nominal import side_lights
 from splitknit.settings import Checked, Limits
-from splitknit_simulator.light.lighting import Patch, arriving
-from splitknit_simulator.light.parameters import CROSSED_LED_DISTANCE_MM, REFRACTIVE_INDEX
-from splitknit_simulator.light.skin import ChannelOptics, fresnel
+from splitknit_simulator.light.lighting import Patch, Vectors, arriving, dot
+from splitknit_simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, fresnel
 from splitknit_simulator.surface import Array
-
-Vectors = Any
-"""x, y and z, arrays or numbers that broadcast together."""
 
 SERIES = ("parallel", "crossed")
 
@@ -98,7 +95,7 @@ class Films:
         leak = 1.0 / self.settings.extinction
         polariser = self.side_axes.get((series, k), float(self.polariser_rad[series, k]))
         passed = reflected_through(light, view, polariser, float(self.analyser_rad[series]), leak)
-        return 0.5 * passed / fresnel(np.sqrt(0.5 + 0.5 * _dot(light, view)))
+        return 0.5 * passed / fresnel(np.sqrt(0.5 + 0.5 * dot(light, view)))
 
     def once_scattered(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
         """What light scattered once adds, over itself, to what would pass had it lost its
@@ -111,7 +108,7 @@ class Films:
         passed: Any = 0.0
         for field, a in zip(fields, weights, strict=True):
             for axis, b in zip(_fields(analyser, view), weights, strict=True):
-                passed = passed + a * b * _dot(field, axis) ** 2
+                passed = passed + a * b * dot(field, axis) ** 2
         return np.asarray(kept * (0.5 * passed - self.depolarised))
 
     @property
@@ -169,6 +166,10 @@ def mounted_films(settings: FilmSettings, leds: Sequence[Led], rng: np.random.Ge
     return Films(settings, polariser, analyser, shift, side_axes)
 
 
+_CROSSED_LED_DISTANCE_MM = 6.0
+"""From the LEDs of the parallel series, where the crossed one has its own."""
+
+
 def with_crossed_leds(rig: Rig) -> Rig:
     """The rig with as many further white LEDs, each beside one of its own, farther around the
     camera's axis."""
@@ -180,7 +181,7 @@ def with_crossed_leds(rig: Rig) -> Rig:
                     "films.kind 'leds' needs near LEDs, but the rig's have no position_mm."
                 )
             x, y, z = led.position_mm
-            turn = CROSSED_LED_DISTANCE_MM / max(float(np.hypot(x, y)), CROSSED_LED_DISTANCE_MM)
+            turn = _CROSSED_LED_DISTANCE_MM / max(float(np.hypot(x, y)), _CROSSED_LED_DISTANCE_MM)
             place = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z
             added.append(replace(led, position_mm=(float(place[0]), float(place[1]), float(z))))
     return replace(rig, leds=(*rig.leds, *added))
@@ -194,17 +195,17 @@ def once_scattered(patch: Patch, led: Led, optics: Sequence[ChannelOptics]) -> I
     1960, Radiative Transfer, section 47: a half-space that scatters once, evenly in all
     directions).
     """
-    lx, ly, lz, strength = arriving(patch, led)
-    cosine = np.maximum(lx * patch.nx + ly * patch.ny + lz * patch.nz, 0.0)
+    light, strength = arriving(patch, led)
+    cosine = np.maximum(dot(light, patch.normal), 0.0)
     seen = np.clip(patch.nv, 0.0, 1.0)
     before, behind = (np.sqrt(1.0 - (1.0 - c * c) / REFRACTIVE_INDEX**2) for c in (cosine, seen))
     passed = (
         strength * cosine * (1.0 - fresnel(cosine)) * (1.0 - fresnel(seen)) / REFRACTIVE_INDEX**2
     )
-    light = np.where(patch.mask, passed / (before + behind) / (4.0 * np.pi), 0.0).astype(np.float32)
+    sent = np.where(patch.mask, passed / (before + behind) / (4.0 * np.pi), 0.0).astype(np.float32)
     for medium in optics:
         extinction = medium.scattering_per_mm + medium.absorption_per_mm
-        blurred = cv2.GaussianBlur(light, (0, 0), max(0.5 * patch.px_per_mm / extinction, 0.1))
+        blurred = cv2.GaussianBlur(sent, (0, 0), max(0.5 * patch.px_per_mm / extinction, 0.1))
         yield np.asarray(
             blurred * np.float32(medium.scattering_per_mm / extinction) * patch.mask,
             dtype=np.float32,
@@ -234,10 +235,10 @@ def reflected_through(
     along it. Summed over both fields behind the first film (of weight 1 and `leak`) and both axes
     of the second. Born and Wolf, Principles of Optics, 1.5.2, equation (21): the signed amplitudes.
     """
-    cosine = np.sqrt(0.5 + 0.5 * _dot(light, view))
+    cosine = np.sqrt(0.5 + 0.5 * dot(light, view))
     across, along = fresnel_amplitudes(cosine)
     s = _cross(light, view)
-    size = np.sqrt(_dot(s, s))
+    size = np.sqrt(dot(s, s))
     # light along the line of sight has no plane of incidence; any will do
     level = size < 1e-9
     off_axis = np.where(np.abs(light[0]) < 0.9, 1.0, 0.0)
@@ -246,9 +247,9 @@ def reflected_through(
     before, behind = _cross(light, s), _cross(s, view)  # s x d with d = -light; s x v
     passed: Any = 0.0
     for field, a in zip(_fields(polariser, light), (1.0, leak), strict=True):
-        on_s, on_p = across * _dot(field, s), along * _dot(field, before)
+        on_s, on_p = across * dot(field, s), along * dot(field, before)
         for axis, b in zip(_fields(analyser_rad, view), (1.0, leak), strict=True):
-            passed = passed + a * b * (on_s * _dot(axis, s) + on_p * _dot(axis, behind)) ** 2
+            passed = passed + a * b * (on_s * dot(axis, s) + on_p * dot(axis, behind)) ** 2
     return np.asarray(passed)
 
 
@@ -271,17 +272,13 @@ def _fields(axis: float | Vectors, ray: Vectors) -> tuple[Vectors, Vectors]:
 
 
 def _across(vector: Vectors, ray: Vectors) -> Vectors:
-    along = _dot(vector, ray)
+    along = dot(vector, ray)
     return tuple(v - along * r for v, r in zip(vector, ray, strict=True))
 
 
 def _unit(vector: Vectors) -> Vectors:
-    size = np.sqrt(_dot(vector, vector))
+    size = np.sqrt(dot(vector, vector))
     return tuple(v / size for v in vector)
-
-
-def _dot(a: Vectors, b: Vectors) -> Any:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _cross(a: Vectors, b: Vectors) -> Vectors:

@@ -14,19 +14,23 @@ from numpy.typing import NDArray
 from splitknit import Camera, Led
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit_simulator.camera.lens import px_per_mm_at, slopes_of_pixels
-from splitknit_simulator.light.parameters import (
-    LED_RADIUS_MM,
-    MAX_FACET_AREA,
-    MIN_VIEW_COSINE,
-    SHADOW_MAX_SINE,
-)
-from splitknit_simulator.light.skin import fresnel
+from splitknit_simulator.camera.lens import px_per_mm_at, sight_lines
+from splitknit_simulator.light.skin import REFRACTIVE_INDEX, fresnel
 from splitknit_simulator.surface import SimulatedSurface
 
 UNIT = 1e4
 """Square of the distance, in mm, at which an LED of intensity one gives the irradiance one. Source:
 definition of an LED's intensity."""
+
+
+Values = NDArray[np.floating]
+Vectors = Any
+"""x, y and z: arrays or numbers that broadcast together."""
+
+
+def dot(a: Vectors, b: Vectors) -> Any:
+    """Inner products of vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,14 +39,11 @@ class Patch:
 
     window: tuple[slice, slice]
     mask: NDArray[np.bool_]
-    x: FloatArray  # (1, w) mm; (h, w) for a perspective camera
-    y: FloatArray  # (h, 1) mm; (h, w) for a perspective camera
+    x: FloatArray  # (h, w) mm
+    y: FloatArray
     z: FloatArray
-    nx: FloatArray
-    ny: FloatArray
-    nz: FloatArray
-    # (h, w) each: unit vector towards a perspective camera; None = (0, 0, 1)
-    view: tuple[FloatArray, FloatArray, FloatArray] | None
+    normal: Vectors  # (h, w) each
+    view: Vectors  # (h, w) each: unit vector towards the camera
     nv: FloatArray  # cosine between the normal and the direction to the camera
     px_per_mm: float  # on the surface, at its mean distance
     # (h, w) each: rise towards the camera of the skin without ridges along x and along y (up)
@@ -50,6 +51,11 @@ class Patch:
     area: FloatArray  # (h, w) area of the skin's facets over that of the same skin without ridges
     # whether lights that stand low cast shadows of it on itself: seen directly, not in a mirror
     shadows: bool = False
+
+    @property
+    def points(self) -> Vectors:
+        """x, y and z (mm)."""
+        return self.x, self.y, self.z
 
     @property
     def pitch_mm(self) -> float:
@@ -71,31 +77,30 @@ def finger_window(surface: SimulatedSurface) -> tuple[slice, slice]:
     return rows, columns
 
 
+_MIN_VIEW_COSINE = 0.12
+"""Between a facet and the direction to the camera: pixels do not resolve facets that lean away
+further."""
+
+
 def cut_out(surface: SimulatedSurface, *, shadows: bool = False) -> Patch:
     """Return the part of `surface` inside its window."""
     window = finger_window(surface)
     mask = np.ascontiguousarray(surface.mask[window])
     z = np.where(mask, surface.height_mm[window], 0).astype(np.float32)
-    nx, ny, nz = (np.ascontiguousarray(surface.normals[window][..., axis]) for axis in range(3))
-    x, y = _places(surface, window)
-    view, nv, px_per_mm = None, nz, surface.camera.px_per_mm
-    smooth = surface.shape_normals[window]
-    seen: Any = smooth[..., 2]
-    tilt: Any = (np.float32(0.0), np.float32(0.0))
-    if surface.camera.model == "perspective":
-        up = surface.camera.height_mm - z
-        inverse = 1.0 / np.sqrt(x * x + y * y + up * up)
-        view = (-x * inverse, -y * inverse, up * inverse)
-        nv = nx * view[0] + ny * view[1] + nz * view[2]
-        px_per_mm = px_per_mm_at(surface.camera, float(z[mask].mean(dtype=np.float64)))
-        seen, tilt = sum(smooth[..., axis] * view[axis] for axis in range(3)), view[:2]
-    seen = np.maximum(seen, np.float32(MIN_VIEW_COSINE))
+    normal: Vectors = tuple(np.moveaxis(surface.normals[window], -1, 0).copy())
+    sight = surface.sight(window)
+    x, y = (np.asarray(place, dtype=np.float32) for place in sight.at(z)[:2])
+    view: Vectors = tuple(np.moveaxis(sight.towards_camera.astype(np.float32), -1, 0).copy())
+    nv = dot(normal, view)
+    px_per_mm = px_per_mm_at(surface.camera, float(z[mask].mean(dtype=np.float64)))
+    smooth: Vectors = tuple(np.moveaxis(surface.shape_normals[window], -1, 0))
+    seen = np.maximum(dot(smooth, view), np.float32(_MIN_VIEW_COSINE))
     slopes = tuple(
-        np.where(mask, tilt[axis] - smooth[..., axis] / seen, 0).astype(np.float32)
-        for axis in range(2)
+        np.where(mask, view[axis] - smooth[axis] / seen, 0).astype(np.float32) for axis in range(2)
     )
+    # facets larger than three times the smooth skin are walls of pores, a small part of their pixel
     area = np.where(
-        mask, np.minimum(seen / np.maximum(nv, np.float32(MIN_VIEW_COSINE)), MAX_FACET_AREA), 1
+        mask, np.minimum(seen / np.maximum(nv, np.float32(_MIN_VIEW_COSINE)), 3.0), 1
     ).astype(np.float32)
     return Patch(
         window,
@@ -103,9 +108,7 @@ def cut_out(surface: SimulatedSurface, *, shadows: bool = False) -> Patch:
         x,
         y,
         z,
-        nx,
-        ny,
-        nz,
+        normal,
         view,
         nv,
         px_per_mm,
@@ -115,40 +118,14 @@ def cut_out(surface: SimulatedSurface, *, shadows: bool = False) -> Patch:
     )
 
 
-def _places(
-    surface: SimulatedSurface, window: tuple[slice, slice]
-) -> tuple[FloatArray, FloatArray]:
-    """x and y (mm) of the points that the pixels of the window show, zero beside the finger of a
-    perspective camera."""
-    if surface.x_mm is not None and surface.y_mm is not None:
-        inside = surface.mask[window]
-        x, y = (
-            np.where(inside, place[window], 0).astype(np.float32)
-            for place in (surface.x_mm, surface.y_mm)
-        )
-        return x, y
-    height, width = surface.mask.shape
-    pitch = surface.camera.pitch_mm
-    rows, columns = (np.arange(part.start, part.stop, dtype=np.float64) for part in window)
-    x, y = (columns - (width - 1) / 2) * pitch, ((height - 1) / 2 - rows) * pitch
-    return x.astype(np.float32)[None, :], y.astype(np.float32)[:, None]
-
-
 def white_card(camera: Camera, led: Led, z_mm: float = 0.0, step: int = 16) -> FloatArray:
     """(H, W) radiance of a white Lambertian card at height `z_mm`, facing upwards, evaluated every
     `step` pixels."""
     height, width = camera.image_size
     rows = np.linspace(0, height - 1, max(height // step, 2))
     columns = np.linspace(0, width - 1, max(width // step, 2))
-    if camera.model == "perspective":
-        x, y = (
-            (camera.height_mm - z_mm) * s
-            for s in slopes_of_pixels(camera, columns[None, :], rows[:, None])
-        )
-    else:
-        x = ((columns - (width - 1) / 2) / camera.px_per_mm)[None, :]
-        y = (((height - 1) / 2 - rows) / camera.px_per_mm)[:, None]
-    points, up = (x, y, np.full((rows.size, columns.size), z_mm)), (0.0, 0.0, 1.0)
+    points = sight_lines(camera, columns[None, :], rows[:, None]).at(z_mm)
+    up = (0.0, 0.0, 1.0)
     total = np.sum([irradiance(lamp, points, up) for lamp in (led, *led.also)], axis=0)
     # bilinear between the centres of the coarse grid, which include the frame's corners
     at = np.linspace(0, rows.size - 1, height)[:, None], np.linspace(0, columns.size - 1, width)
@@ -169,37 +146,34 @@ def light_on(
     camera, (h, w)."""
     entering, gloss = np.zeros((2, *patch.mask.shape), dtype=np.float32)
     for lamp in (led, *led.also):
-        lx, ly, lz, strength = arriving(patch, lamp, led_radius_mm)
-        cosine = np.maximum(lx * patch.nx + ly * patch.ny + lz * patch.nz, 0.0)
+        light, strength = arriving(patch, lamp, led_radius_mm)
+        cosine = np.maximum(dot(light, patch.normal), 0.0)
         entering += strength * cosine * (1.0 - fresnel(cosine))
         alpha = (
             roughness
             if lamp.position_mm is None
             else min(roughness + angular_size(lamp, led_radius_mm), 1.0)
         )
-        gloss += strength * _ggx(patch, (lx, ly, lz), cosine, alpha)
+        gloss += strength * reflected(patch.normal, light, patch.view, alpha)
     return entering, gloss
 
 
 _NOTHING_MM = -1e3
 """Height beside the finger, far below every light's path. Source: definition."""
+LED_RADIUS_MM = 1.5  # of the emitting face, which widens the specular reflection
 
 
-def arriving(
-    patch: Patch, led: Led, radius_mm: float = LED_RADIUS_MM
-) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
+def arriving(patch: Patch, led: Led, radius_mm: float = LED_RADIUS_MM) -> tuple[Vectors, Values]:
     """As :func:`towards` for the points of a patch, what shadows take of the light taken away.
 
     The way to a light that stands low is followed over the surface: where it is below it, the light
     is hidden, softly, as its face has a `radius_mm`.
     """
-    lx, ly, lz, strength = towards(led, patch.x, patch.y, patch.z)
-    if (
-        not patch.shadows
-        or led.position_mm is None
-        or float(np.mean(lz[patch.mask])) > SHADOW_MAX_SINE
-    ):
-        return lx, ly, lz, strength
+    light, strength = towards(led, patch.points)
+    lx, ly, lz = light
+    # the ring's lights stand higher and would cast shadows only in creases
+    if not patch.shadows or led.position_mm is None or float(np.mean(lz[patch.mask])) > 0.7:
+        return light, strength
     flat = np.maximum(np.hypot(lx, ly), 1e-6)
     rows, columns = (np.asarray(axis, dtype=np.float32) for axis in np.indices(patch.z.shape))
     soft = radius_mm / float(np.linalg.norm(led.position_mm))
@@ -222,7 +196,7 @@ def arriving(
             seen, 0.5 - (higher - patch.z - away_mm * lz / flat) / (2.0 * soft * away_mm), out=seen
         )
         far += max(1.0, 0.08 * far)
-    return lx, ly, lz, strength * np.clip(seen, 0.0, 1.0)
+    return light, strength * np.clip(seen, 0.0, 1.0)
 
 
 def angular_size(led: Led, radius_mm: float) -> float:
@@ -234,48 +208,70 @@ def angular_size(led: Led, radius_mm: float) -> float:
     )
 
 
-def _ggx(
-    patch: Patch,
-    light: tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]],
-    cosine: NDArray[np.floating],
-    alpha: float,
-) -> NDArray[np.floating]:
-    """D G F / (4 n.v) towards the viewer; zero in the attached shadow."""
-    lx, ly, lz = light
-    # half vector between the light and the viewer: |l + v| = sqrt(2 + 2 l.v)
-    vx, vy, vz = (np.float32(0), np.float32(0), np.float32(1)) if patch.view is None else patch.view
-    lv = lz if patch.view is None else lx * vx + ly * vy + lz * vz
-    inverse = 1.0 / np.sqrt(2.0 + 2.0 * lv)
-    nh = np.clip(
-        ((lx + vx) * patch.nx + (ly + vy) * patch.ny + (lz + vz) * patch.nz) * inverse, 0.0, 1.0
+# Light that a surface with two roughnesses reflects: GGX microfacets, anisotropic, pixel by pixel.
+
+
+def reflected(
+    normal: Vectors,
+    light: Vectors,
+    view: Vectors,
+    across: Values | float,
+    *,
+    index: float = REFRACTIVE_INDEX,
+    along: Vectors | None = None,
+    roughness_along: Values | float | None = None,
+) -> Values:
+    """(h, w) radiance towards `view` per unit of irradiance that a surface facing the light
+    receives: D G F / (4 n.v).
+
+    Vectors are three (h, w) arrays, unit, out of the surface; the GGX alpha is `across` across
+    `along` and everywhere where there is no direction, and `roughness_along` along it. Walter et
+    al. 2007, equations (20), (33), (34); Burley 2012 and Heitz 2014, equations (85) and (86), for
+    two roughnesses.
+    """
+    nl, nv = dot(normal, light), np.clip(dot(normal, view), 1e-3, 1.0)
+    lv = dot(light, view)
+    inverse = 1.0 / np.sqrt(np.maximum(2.0 + 2.0 * lv, 1e-6))
+    half = tuple(
+        (to_light + to_view) * inverse for to_light, to_view in zip(light, view, strict=True)
     )
-    vh = (lv + 1.0) * inverse
-    nv = np.clip(patch.nv, 1e-3, 1.0)
-    squared = alpha * alpha
-    below = nh * nh * (squared - 1.0) + 1.0
-    distribution = squared / (np.pi * below * below)
+    nh = np.clip(dot(normal, half), 0.0, 1.0)
+    lit = nl > 0.0
+    nl = np.maximum(nl, 1e-4)
+    first = across if along is None or roughness_along is None else roughness_along
 
-    def unshadowed(c: NDArray[np.floating]) -> NDArray[np.floating]:
-        return 2.0 * c / (c + np.sqrt(squared + (1.0 - squared) * c * c))
+    def squashed(direction: Vectors, cosine: Values, power: int) -> Values:
+        """Sum of the squared tangential parts of a direction, times (or over) the squared
+        roughnesses."""
+        sine = np.maximum(1.0 - cosine * cosine, 0.0)
+        part = (
+            np.zeros_like(sine) if along is None else np.minimum(dot(along, direction) ** 2, sine)
+        )
+        first2, across2 = np.square(first), np.square(across)
+        rest = sine - part
+        return np.asarray(
+            part * first2 + rest * across2 if power > 0 else part / first2 + rest / across2
+        )
 
-    shadowing = unshadowed(np.maximum(cosine, 1e-4)) * unshadowed(nv)
-    lit = (cosine > 0.0) & patch.mask
-    return np.where(lit, distribution * shadowing * fresnel(vh) / (4.0 * nv), 0.0)
+    below = squashed(half, nh, -1) + nh * nh
+    distribution = 1.0 / (np.pi * first * across * below * below)
+
+    def unshadowed(direction: Vectors, cosine: Values) -> Values:
+        return 2.0 / (1.0 + np.sqrt(1.0 + squashed(direction, cosine, 1) / (cosine * cosine)))
+
+    shadowing = unshadowed(light, nl) * unshadowed(view, nv)
+    mirror = fresnel((lv + 1.0) * inverse, index)
+    return np.where(lit, distribution * shadowing * mirror / (4.0 * nv), 0.0)
 
 
-def towards(
-    led: Led, x: NDArray[np.floating], y: NDArray[np.floating], z: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
-    """Unit vector from each point to the light, and the irradiance of a surface that faces it."""
+def towards(led: Led, points: Vectors) -> tuple[Vectors, Values]:
+    """Unit vector from each point (mm) to the light, and the irradiance of a surface that faces
+    it."""
+    x, y, z = points
     if led.position_mm is None:
         direction = np.asarray(led.direction, dtype=np.float64)
-        dx, dy, dz = (float(v) for v in direction / np.linalg.norm(direction))
-        return (
-            np.full_like(z, dx),
-            np.full_like(z, dy),
-            np.full_like(z, dz),
-            np.full_like(z, led.intensity),
-        )
+        dx, dy, dz = (np.full_like(z, v) for v in direction / np.linalg.norm(direction))
+        return (dx, dy, dz), np.full_like(z, led.intensity)
     px, py, pz = led.position_mm
     lx, ly, lz = px - x, py - y, pz - z
     inverse = 1.0 / np.sqrt(lx * lx + ly * ly + lz * lz)
@@ -284,19 +280,16 @@ def towards(
     if led.lobe_exponent > 0.0:
         ax, ay, az = (-px, -py, -pz) if led.aim is None else led.aim
         length = float(np.sqrt(ax * ax + ay * ay + az * az))
-        along = np.maximum(-(lx * ax + ly * ay + lz * az) / length, 0.0)
+        along = np.maximum(-dot((lx, ly, lz), (ax, ay, az)) / length, 0.0)
         strength = strength * along**led.lobe_exponent
-    return lx, ly, lz, strength
+    return (lx, ly, lz), strength
 
 
-def irradiance(
-    led: Led, points: Sequence[Any] | NDArray[Any], normal: Sequence[Any] | NDArray[Any]
-) -> NDArray[Any]:
+def irradiance(led: Led, points: Any, normal: Any) -> NDArray[Any]:
     """Irradiance of a surface at x, y, z in mm (any shape) with the unit normal x, y, z,
     unshadowed."""
-    x, y, z = points
-    lx, ly, lz, strength = towards(led, x, y, z)
-    return np.asarray(strength * np.maximum(lx * normal[0] + ly * normal[1] + lz * normal[2], 0.0))
+    light, strength = towards(led, points)
+    return np.asarray(strength * np.maximum(dot(light, normal), 0.0))
 
 
 # An opaque finger: matt as painted plaster, no light below the surface, no gloss.
@@ -315,9 +308,11 @@ def render_opaque(
     """
     require(0.0 < albedo <= 1.0, f"the albedo must lie in (0, 1], but it is {albedo}.")
     patch = cut_out(surface)
-    points, normals = (patch.x, patch.y, patch.z), (patch.nx, patch.ny, patch.nz)
     light = np.stack(
-        [sum(irradiance(lamp, points, normals) for lamp in (led, *led.also)) for led in leds]
+        [
+            sum(irradiance(lamp, patch.points, patch.normal) for lamp in (led, *led.also))
+            for led in leds
+        ]
     )
     return patch.window, np.where(patch.mask, light * np.float32(albedo / np.pi), 0.0).astype(
         np.float32

@@ -23,16 +23,14 @@ from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.coat import CoatedPatch
 from splitknit_simulator.light.lighting import (
+    LED_RADIUS_MM,
     Patch,
+    Vectors,
     arriving,
     cut_out,
+    dot,
     light_on,
     towards,
-)
-from splitknit_simulator.light.parameters import (
-    LED_RADIUS_MM,
-    RELIEF_HIGH_PASS_MM,
-    RELIEF_SMOOTHING_MM,
 )
 from splitknit_simulator.light.skin import (
     CHANNELS,
@@ -174,13 +172,7 @@ def render_ambient(
     """
     settings = settings or RenderSettings()
     patch = cut_out(surface)
-    facing = patch.nz
-    if up is not None:
-        facing = (
-            patch.nx * np.float32(up[0])
-            + patch.ny * np.float32(up[1])
-            + patch.nz * np.float32(up[2])
-        )
+    facing = patch.normal[2] if up is None else dot(patch.normal, up.astype(np.float32))
     entering = np.where(
         patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + facing), 0
     )
@@ -255,19 +247,18 @@ class SubsurfaceScattering:
         image's number."""
         boundary = skin.boundary
         signals = [boundary.slope_signal(name) for name in skin.channels]
-        facets = np.stack([self.patch.nx, self.patch.ny, self.patch.nz], axis=-1)
+        below: Vectors = tuple(np.moveaxis(shape_normals, -1, 0))
 
         def entering(k: int) -> Iterator[FloatArray]:
             power = boundary.entry_power
-            ridged = self.spread(self.pad(_light_below(self.patch, facets, leds[k], power)))
+            facets = _light_below(self.patch, self.patch.normal, leds[k], power)
+            ridged = self.spread(self.pad(facets))
             if boundary.refraction == 0:
                 yield from ridged
                 return
-            smooth = self.spread(
-                self._continued(_light_below(self.patch, shape_normals, leds[k], power))
-            )
-            for light, below, signal in zip(ridged, smooth, signals, strict=True):
-                yield np.asarray(below + np.float32(signal) * (light - below))
+            smooth = self.spread(self._continued(_light_below(self.patch, below, leds[k], power)))
+            for light, even, signal in zip(ridged, smooth, signals, strict=True):
+                yield np.asarray(even + np.float32(signal) * (light - even))
 
         self._entering = entering
 
@@ -392,7 +383,7 @@ class Relief:
             blurred = cv2.GaussianBlur(relief, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
             return np.asarray(blurred / np.maximum(weight, 1e-3), dtype=np.float32)
 
-        self._band = smooth(RELIEF_SMOOTHING_MM) - smooth(RELIEF_HIGH_PASS_MM)
+        self._band = smooth(0.03) - smooth(0.32)  # mm
         pigment = np.where(patch.mask, surface.pigment[patch.window], 0).astype(np.float32)
         self._pigments = [pigment] * len(skin.optics)
 
@@ -411,13 +402,12 @@ class Relief:
             yield pigment * np.clip(1.0 + gain * self._band, 0.2, 1.8)
 
 
-def _light_below(patch: Patch, normals: FloatArray, led: Led, entry_power: float) -> FloatArray:
-    """(h, w) light that enters skin with these `normals` (h, w, 3), with Fresnel's transmittance to
-    a power."""
+def _light_below(patch: Patch, normal: Vectors, led: Led, entry_power: float) -> FloatArray:
+    """(h, w) light that enters skin with this `normal`, with Fresnel's transmittance to a power."""
     total = np.zeros(patch.mask.shape, dtype=np.float32)
     for lamp in (led, *led.also):
-        lx, ly, lz, strength = arriving(patch, lamp)
-        cosine = np.maximum(lx * normals[..., 0] + ly * normals[..., 1] + lz * normals[..., 2], 0.0)
+        light, strength = arriving(patch, lamp)
+        cosine = np.maximum(dot(light, normal), 0.0)
         total += strength * cosine * np.maximum(1.0 - fresnel(cosine), 0.02) ** entry_power
     return np.where(patch.mask, total, 0.0).astype(np.float32)
 
@@ -425,6 +415,6 @@ def _light_below(patch: Patch, normals: FloatArray, led: Led, entry_power: float
 def _obliquity(patch: Patch, normals: FloatArray, led: Led) -> FloatArray:
     """(h, w) ln(1 / cos t), t the angle between skin's normals (h, w, 3) and an LED; at most ln
     10."""
-    lx, ly, lz, _ = towards(led, patch.x, patch.y, patch.z)
-    cosine = lx * normals[..., 0] + ly * normals[..., 1] + lz * normals[..., 2]
+    light, _ = towards(led, patch.points)
+    cosine = dot(light, np.moveaxis(normals, -1, 0))
     return np.where(patch.mask, -np.log(np.clip(cosine, 0.1, 1.0)), 0.0).astype(np.float32)

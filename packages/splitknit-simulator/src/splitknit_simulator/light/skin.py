@@ -30,7 +30,6 @@ from scipy.special import j1
 from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
-from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 
 Channel = Literal["red", "green", "blue", "nir"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
@@ -288,6 +287,9 @@ RADIUS_EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 250.0, 101)])
 of the shipped table of walks."""
 
 # Where light that enters skin at one point leaves it.
+REFRACTIVE_INDEX = 1.42
+"""Of skin as one homogeneous medium, between dermis (1.36) and epidermis (1.49; Ding et al. 2006,
+Physics in Medicine and Biology 51, 1479)."""
 
 
 def fresnel(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX) -> NDArray[np.floating]:

@@ -37,7 +37,6 @@ from splitknit.settings import differing
 from splitknit.workers import run_jobs
 from splitknit_simulator.finger.finger import SimulatedFinger
 from splitknit_simulator.finger.master_print import MasterPrint
-from splitknit_simulator.population.parameters import REAL_PRINT_FRACTION
 from splitknit_simulator.population.sessions import (
     DRAWS_VERSION,
     PopulationSettings,
@@ -320,7 +319,8 @@ def choose_prints(
             kept.check(real_print)
         return kept
     firsts = _first_impressions(folder)
-    wanted = max(1, round(REAL_PRINT_FRACTION * len(subjects) * len(fingers)))
+    # a third of the fingers have the ridges of a real print, where there are enough
+    wanted = max(1, round((1 / 3) * len(subjects) * len(fingers)))
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D4]))
     identities = [
         (firsts[k], mirrored) for mirrored in (False, True) for k in rng.permutation(len(firsts))

@@ -28,17 +28,6 @@ from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerShape
 from splitknit_simulator.finger.skin_map import SkinRelief as ReliefSettings
 from splitknit_simulator.light.skin import SkinOptics, SkinRanges
-from splitknit_simulator.population.parameters import (
-    BLOOD_FINGER_SD,
-    HABIT_ROLL_SD_DEG,
-    LENGTH_MM,
-    PATTERN_COMMON_TO_DIGIT,
-    PATTERN_COMMON_TO_PERSON,
-    PERIOD_DIGIT,
-    RELIEF_GAIN_FINGER_SD,
-    SIZE_COMMON_TO_PERSON,
-    WIDTH_MM,
-)
 
 Five = tuple[float, float, float, float, float]
 DIGITS = ("thumb", "index", "middle", "ring", "little")
@@ -67,22 +56,6 @@ TWIN = 0.18
 
 
 # Classes of prints by digit and hand, in the frequencies that people have.
-
-
-def class_fractions(side: str, digit: str) -> dict[str, float]:
-    """Fraction of every class among the prints of a digit; they sum to one."""
-    k = DIGITS.index(digit)
-    arch, whorl = ARCHES[side][k], WHORLS[side][k]
-    radial, ulnar = ("left_loop", "right_loop") if side == "right" else ("right_loop", "left_loop")
-    loop = 1.0 - arch - whorl
-    return {
-        "arch": arch * (1.0 - TENTED),
-        "tented_arch": arch * TENTED,
-        radial: loop * RADIAL[k],
-        ulnar: loop * (1.0 - RADIAL[k]),
-        "whorl": whorl * (1.0 - TWIN),
-        "twin_loop": whorl * TWIN,
-    }
 
 
 def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str) -> str:
@@ -178,7 +151,7 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
     for place, name in enumerate(FINGERS):
         own = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D3, number, place]))
         side, digit = divmod(place, len(DIGITS))
-        score = hand.score("pattern", place, PATTERN_COMMON_TO_PERSON, PATTERN_COMMON_TO_DIGIT)
+        score = hand.score("pattern", place, 0.35, 0.25)
         pattern = _pattern_class(own, score, SIDES[side], DIGITS[digit])
         settings = _print_settings(own, hand, place, man)
         shape, relief = _shape_and_relief(own, hand, place, man)
@@ -187,9 +160,13 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
             name,
             SimulatedFinger(print_seed, pattern, shape, relief, _large_enough(settings, shape)),
             _own_optics(own, optics, ranges),
-            float(np.clip(own.standard_normal(), -2, 2)) * HABIT_ROLL_SD_DEG,
+            float(np.clip(own.standard_normal(), -2, 2)) * 3.0,  # habitual roll, deg
         )
     return Person(number, "man" if man else "woman", fingers)
+
+
+_SIZE_COMMON_TO_PERSON = 0.8
+"""Fraction of the variance of breadth and length that all ten fingers share, within a sex."""
 
 
 class _Hand:
@@ -214,8 +191,8 @@ class _Hand:
 
     def size(self, name: str, place: int) -> float:
         """Score of breadth or length; most of what is not the person's is common to both hands."""
-        digit = 0.7 * (1.0 - SIZE_COMMON_TO_PERSON)
-        return float(np.clip(self.score(name, place, SIZE_COMMON_TO_PERSON, digit), -2.2, 2.2))
+        digit = 0.7 * (1.0 - _SIZE_COMMON_TO_PERSON)
+        return float(np.clip(self.score(name, place, _SIZE_COMMON_TO_PERSON, digit), -2.2, 2.2))
 
     def trait(self, name: str, place: int) -> float:
         """Value of a trait, mirrored on the left hand where it has a side."""
@@ -223,6 +200,10 @@ class _Hand:
         value = trait.mean + trait.spread * self.score(name, place, 0.45, 0.40)
         value = float(np.clip(value, trait.low, trait.high))
         return -value if trait.sided and place >= len(DIGITS) else value
+
+
+PERIOD_DIGIT = (1.05, 1.02, 1.0, 0.98, 0.95)
+"""Ridge period by digit, thumb to little finger, relative to the mean."""
 
 
 def _print_settings(
@@ -234,6 +215,14 @@ def _print_settings(
     logs = sex + _PERIOD_SD * np.clip(person, -2.2, 2.2) + own
     period = PERIOD_MM * PERIOD_DIGIT[place % len(DIGITS)] * float(np.exp(logs))
     return MasterPrintSettings(period_mm=max(period, 0.33), period_spread=0.0)
+
+
+WIDTH_MM = (20.2, 16.8, 17.0, 16.0, 14.3)
+"""Mean breadth of the pad by digit, thumb to little finger, of both sexes; that of the index finger
+is Greiner's (1991), the others are judged."""
+LENGTH_MM = (30.5, 25.0, 26.0, 25.5, 22.8)
+"""Mean length from tip to first crease by digit, thumb to little finger, of both sexes; that of the
+index finger is Greiner's (1991), the others follow Buryanov and Kotiuk (2010)."""
 
 
 def _shape_and_relief(
@@ -271,7 +260,8 @@ def _large_enough(settings: MasterPrintSettings, shape: FingerShape) -> MasterPr
 
 def _own_optics(rng: np.random.Generator, skin: SkinOptics, ranges: PeopleRanges) -> SkinOptics:
     draws: NDArray[np.float64] = np.clip(rng.standard_normal(2), -2, 2)
-    blood = skin.blood * float(np.exp(BLOOD_FINGER_SD * draws[0]))
-    gain = skin.relief_gain * float(np.exp(RELIEF_GAIN_FINGER_SD * draws[1]))
+    # logarithmic standard deviations between a person's fingers
+    blood = skin.blood * float(np.exp(0.10 * draws[0]))
+    gain = skin.relief_gain * float(np.exp(0.05 * draws[1]))
     low, high = ranges.optics.relief_gain
     return replace(skin, blood=blood, relief_gain=float(np.clip(gain, low, high)))

@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from splitknit import Camera, Capture, Rig
 from splitknit.errors import require
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.lens import picture_on_plane
 from splitknit_simulator.camera.sensor import SensorSettings
@@ -27,22 +27,6 @@ from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.light.films import FilmSettings
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.skin import SkinOptics
-from splitknit_simulator.population.parameters import (
-    BLOOD_COMMON,
-    BLOOD_SD,
-    DEFORMATION_MM,
-    FULL_WELL_E,
-    INSERTION_MM,
-    LED_DRIFT_SD,
-    MOISTURE_COMMON,
-    OXYGENATION,
-    PARTIAL_INSERTION_MM,
-    PITCH_SD_DEG,
-    READ_NOISE_E,
-    SWELLING_COMMON,
-    SWELLING_SD,
-    YAW_SD_DEG,
-)
 from splitknit_simulator.population.people import (
     FINGERS,
     OwnFinger,
@@ -126,6 +110,11 @@ class _Impression:
         return FingerPose(yaw, pitch, roll, self.x_mm, self.insertion_mm, self.height_mm)
 
 
+SWELLING_SD = 0.015
+"""Standard deviation of the change of breadth and thickness (water, warmth, weight)."""
+DEFORMATION_MM = (0.2, 0.5)  # largest shift of the skin against the body
+
+
 def draw_impression(
     own: OwnFinger, ranges: SessionRanges, camera: Camera, place: tuple[int, int, int]
 ) -> _Impression:
@@ -151,22 +140,24 @@ def draw_impression(
         return between(limits, rng.random())
 
     def shared(common: float) -> float:
+        # `common`: fraction of the variance that a person's fingers have in common in a session
         both = (
             np.sqrt(common) * day.standard_normal() + np.sqrt(1.0 - common) * rng.standard_normal()
         )
         return float(np.clip(both, -2.0, 2.0))
 
-    swelling = SWELLING_SD * shared(SWELLING_COMMON)
-    moisture = float(ndtr(shared(MOISTURE_COMMON)))
+    swelling = SWELLING_SD * shared(0.8)
+    moisture = float(ndtr(shared(0.6)))
+    # electrons at full scale, fewer with a higher gain; noise of reading out
     full_well, read_noise = (
-        between(limits, day.random()) for limits in (FULL_WELL_E, READ_NOISE_E)
+        between(limits, day.random()) for limits in ((2500.0, 4700.0), (2.5, 4.0))
     )
     partial = bool(rng.random() < ranges.partial_share)
-    full, short = even(INSERTION_MM), even(PARTIAL_INSERTION_MM)
+    full, short = even((26.0, 28.4)), even((18.0, 22.0))  # mm, from the lower border to the tip
     _, lower, upper = picture_on_plane(camera)
     return _Impression(
-        yaw_deg=YAW_SD_DEG * normal(),
-        pitch_deg=PITCH_SD_DEG * normal(),
+        yaw_deg=5.0 * normal(),
+        pitch_deg=2.0 * normal(),
         roll_deg=own.habit_roll_deg + ranges.roll_sd_deg * normal(),
         insertion_mm=min(short if partial else full, upper - lower - 0.6),
         partial=partial,
@@ -175,8 +166,8 @@ def draw_impression(
         deformation_mm=even(DEFORMATION_MM),
         moisture=moisture,
         **{name: between(limits, moisture) for name, limits in _BY_MOISTURE.items()},
-        blood_factor=float(np.exp(BLOOD_SD * shared(BLOOD_COMMON))),
-        oxygenation=between(OXYGENATION, day.random()),
+        blood_factor=float(np.exp(0.25 * shared(0.8))),  # warmth, pressure
+        oxygenation=between((0.6, 0.85), day.random()),  # of all of a person's fingers
         full_well_e=full_well,
         read_noise_e=read_noise,
         **{
@@ -259,7 +250,8 @@ def population_capture(
     today = finger_of_today(own.finger, impression)
     worn = replace(today, printed=deformed(master, deformation))
     surface = finger_surface(worn, impression.pose(), rig.camera, workers=settings.render.workers)
-    lit = _drifted(rig, np.random.default_rng(drift_seed), LED_DRIFT_SD)
+    # since the LEDs were calibrated, which the rig file does not have
+    lit = _drifted(rig, np.random.default_rng(drift_seed), 0.007)
     skin, twin = _skin_of_today(own, impression), _twin_settings(settings, impression)
     capture, truth = photograph(surface, lit, skin, photo_seed, settings=twin)
     subject = {"id": f"S{person.number:02d}", "finger": finger, "session": session}

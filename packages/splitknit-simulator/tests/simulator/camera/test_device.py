@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_simulator.calibration_set.flat import CardScene
 from splitknit_simulator.camera import device
 from splitknit_simulator.camera.device import Clock, TwinCamera, TwinLightBank
@@ -35,9 +35,10 @@ def test_a_finger_scene_has_the_light_of_simulate_capture(finger):
     for band, first in (("white", 0), ("nir", 7)):
         exposure = float(truth[f"exposure_{band}"])
         for k in (0, 4):
-            stored = capture.bands[band].pixels[k] / 65535 - capture.bands[band].ambient / 65535
+            images = capture.bands[band]
+            stored = images.pixels[k] / 65535 - images.ambient.pixels / 65535
             light = (finger.light([first + k]) - finger.light([])) * exposure
-            fits = (capture.bands[band].pixels[k] < 65000).all(axis=-1)
+            fits = (images.pixels[k] < 65000).all(axis=-1)
             np.testing.assert_allclose(light[fits], stored[fits], atol=1e-3)
 
 

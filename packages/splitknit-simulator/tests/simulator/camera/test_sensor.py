@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging.band import decode_table
+from splitknit.observation.stored import decode_table
 from splitknit_simulator.camera.sensor import RESPONSE, SensorSettings, record
 
 

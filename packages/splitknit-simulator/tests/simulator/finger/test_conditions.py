@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.model import Camera, default_rig
+from splitknit.model import Camera
+from splitknit.nominal import default_rig
 from splitknit_simulator.finger.conditions import KINDS, Condition, conditioned_surface
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrintSettings, master_print
-from splitknit_simulator.light.coat import draw_grains
-from splitknit_simulator.light.parameters import DUST_DENSITY_MG_PER_MM3
+from splitknit_simulator.light.coat import DUST_DENSITY_MG_PER_MM3, draw_grains
 from splitknit_simulator.light.renderer import RenderSettings, render_band
-from splitknit_simulator.light.skin import Medium, SkinOptics, fresnel
+from splitknit_simulator.light.skin import SkinOptics, fresnel
 from splitknit_simulator.surface import WATER_INDEX, Coat, Film, Grains
 from surfaces import ridged_egg
 
@@ -53,14 +53,6 @@ def test_an_empty_coat_changes_nothing(egg):
     bare, coated = _render(egg), _render(_coated(egg))
     np.testing.assert_allclose(coated.diffuse, bare.diffuse, rtol=2e-5, atol=1e-7)
     np.testing.assert_allclose(coated.glare, bare.glare, rtol=1e-3, atol=1e-6)
-
-
-def test_the_renderer_applies_the_coat_of_a_surface(egg):
-    wet = _coated(egg, roughness=np.full(egg.mask.shape, 0.6, dtype=np.float32))
-    leds = [default_rig(0.25).leds[0]]
-    optics = [SKIN.channel("blue")] * 3
-    wet_image = render_band(wet, leds, Medium(optics, 0.25, 1.0))
-    assert wet_image.glare.max() < 0.5 * _render(egg, leds, glare=1.0).glare.max()
 
 
 def test_unknown_conditions_are_refused():

@@ -196,14 +196,6 @@ def test_creases_are_grooves_at_their_landmarks(finger):
     assert first < second
 
 
-@pytest.mark.slow
-def test_workers_do_not_change_the_result(finger, seen):
-    again = finger_surface(finger, POSE, CAMERA, workers=1)
-    assert again.height_mm.tobytes() == seen.height_mm.tobytes()
-    assert again.normals.tobytes() == seen.normals.tobytes()
-    assert again.pigment.tobytes() == seen.pigment.tobytes()
-
-
 def test_drawn_fingers_stay_in_their_ranges():
     fingers = [draw_finger(seed) for seed in range(200)]
     widths = np.array([f.shape.width_mm for f in fingers])

@@ -10,12 +10,12 @@ import pytest
 
 from script_folder import VALIDATION, scripts_of
 from splitknit.errors import BadInput
-from splitknit.model import Camera, Led, default_rig
+from splitknit.model import Camera, Led
+from splitknit.nominal import default_rig
 from splitknit_simulator.light.renderer import RenderSettings, render_ambient, render_band
 from splitknit_simulator.light.skin import (
     CHANNELS,
     Boundary,
-    ChannelOptics,
     Medium,
     SkinOptics,
     diffuse_transmittance,
@@ -53,31 +53,6 @@ def test_flat_even_skin_reflects_its_albedo():
         albedo = diffusion_profile(medium.scattering_per_mm, medium.absorption_per_mm).albedo
         expected = passed**2 * 1.0 * albedo / (np.pi * diffuse_transmittance())
         np.testing.assert_allclose(image.diffuse[0, c], expected, rtol=0.005)
-
-
-def test_dense_scattering_is_lambertian(egg):
-    """Where light leaves where it entered, the picture is the irradiance times the Fresnel
-    transmittances."""
-    dense = ChannelOptics(scattering_per_mm=3000.0, absorption_per_mm=60.0, relief_gain_per_um=0.0)
-    led = default_rig().leds[0]
-    image = render_band(egg, [led], Medium([dense], 0.25, 0.0))
-    rows, columns = image.window
-    n = egg.normals[rows, columns]
-    x = ((np.arange(480) - 239.5) * egg.camera.pitch_mm)[None, columns]
-    y = ((274.5 - np.arange(550)) * egg.camera.pitch_mm)[rows, None]
-    z = np.nan_to_num(egg.height_mm[rows, columns])
-    to = np.stack(
-        np.broadcast_arrays(led.position_mm[0] - x, led.position_mm[1] - y, led.position_mm[2] - z),
-        -1,
-    )
-    squared = np.sum(to**2, -1)
-    cosine = np.maximum(np.sum(to * n, -1) / np.sqrt(squared), 0)
-    irradiance = 1e4 * cosine / squared * (1 - fresnel(cosine)) * (1 - fresnel(n[..., 2]))
-    albedo = diffusion_profile(3000.0, 60.0).albedo
-    expected = irradiance * albedo / (np.pi * diffuse_transmittance())
-    inner = cv2.erode(egg.mask[image.window].astype(np.uint8), np.ones((9, 9))) > 0
-    error = np.abs(image.diffuse[0, 0] - expected)[inner]
-    assert error.mean() < 0.004 * expected[inner].mean()
 
 
 @pytest.mark.slow

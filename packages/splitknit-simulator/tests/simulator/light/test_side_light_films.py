@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_simulator.light.films import FilmSettings, reflected_through, turned_film_rad
 from splitknit_simulator.rigs import with_side_lights
 from splitknit_simulator.scene import TwinSettings, films_of

@@ -6,10 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import splitknit
 import splitknit_simulator
 from splitknit.errors import BadInput
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_simulator.light.films import FilmSettings, fresnel_amplitudes, mounted_films
 from splitknit_simulator.light.skin import fresnel
 from splitknit_simulator.scene import TwinSettings
@@ -137,15 +136,6 @@ def test_motion_includes_the_time_between_the_series():
     assert list(capture.bands) == ["white", "white_crossed", "nir"]
     assert truth["motion_shift_mm"].shape == (21, 2)
     assert truth["exposure_white"] == truth["exposure_white_crossed"]
-
-
-def test_a_polarised_capture_is_written_and_read_back(tmp_path):
-    _, capture, truth = pixels({"films.kind": "leds"})
-    splitknit.write_capture(capture, tmp_path / "c", truth)
-    back = splitknit.read_capture(tmp_path / "c")
-    for name, band in capture.bands.items():
-        np.testing.assert_array_equal(back.bands[name].pixels, band.pixels)
-        assert back.bands[name].polarisation == band.polarisation
 
 
 def test_films_with_mirrors_or_coloured_leds_are_refused():
