@@ -33,6 +33,7 @@ _TARGET = Parameter(group="The printed target ('splitknit rig target' makes it)"
 _SOURCE = Parameter(group="From what (one of them)")
 _RIG = Parameter(group="The rig")
 _NAIL = Parameter(group="The nail")
+_BALLS = Parameter(group="The balls")
 _PICTURES = Parameter(group="Photographs")
 
 
@@ -132,6 +133,8 @@ def calibrate_lights(
     method: Annotated[Literal["circle", "joint"] | None, _NAIL] = None,
     limit_deg: Annotated[float, Limits(0, 90, above=True), _NAIL] = 5.0,
     keep: Annotated[bool, _NAIL] = False,
+    ball: Annotated[Sequence[str], _BALLS] = (),
+    ground: Annotated[bool, _BALLS] = False,
     encoding: Annotated[Encoding | None, _PICTURES] = None,
     mask: Annotated[AnyPath | None, _PICTURES] = None,
     show: Annotated[AnyPath | None, _PICTURES] = None,
@@ -143,22 +146,23 @@ def calibrate_lights(
     Parameters
     ----------
     out
-        Rig file (.json) or list of lights (.txt) to write; 'splitknit reconstruct' takes both as
-        lights of photographs (default: none, only report what was found).
+        Rig file (.json) or list of lights (.txt, .lp of RTI, .dome of Relight) to write; 'splitknit
+        reconstruct' takes them as lights of photographs (default: none, only report what was
+        found).
     table
         Nail and shadow tips, typed, as CSV.
     images
         Photographs: of the nail, or with `sphere` of a ball.
     sphere
-        The photographs show a ball of this kind.
+        The photographs show a ball of this kind, or several of chrome.
     geometry
         Nothing is measured: LEDs where the drawing has them.
     rig
         Rig file with the calibrated camera.
     px_per_cm
-        Scale on the finger plane, without `rig`.
+        Scale on the ground (the finger plane), without `rig`.
     image_size
-        Of the photographs, without `rig`: ROWS,COLUMNS.
+        Of the photographs, without `rig`: ROWS,COLUMNS; not needed with `sphere`.
     led_height_cm
         Height of the LEDs above the finger plane.
     led_radius_cm
@@ -176,10 +180,15 @@ def calibrate_lights(
         Directions further apart are refused.
     keep
         Keep LEDs that would be refused.
+    ball
+        Outline of a ball, X,Y,RADIUS in pixels; may be repeated (default: one is found).
+    ground
+        The ground beside chrome balls is flat and matt: its light shows how far the lights are.
     encoding
         Of the photographs (default: as for 'splitknit reconstruct').
     mask
-        Image that is white where the ball is.
+        Image that is white where the balls are; with `ball`, where the object is, which is no
+        ground.
     show
         Picture of what was found, PNG (default: beside `out`).
     tips_out
@@ -188,7 +197,8 @@ def calibrate_lights(
     Returns
     -------
     CalibratedLights
-        ``leds`` with directions, positions, intervals and verdicts; ``rig``; ``findings``.
+        ``leds`` with directions, positions, intervals and verdicts; ``rig``; ``findings``; of balls
+        ``left_out``, photographs whose light shows no glint.
 
     Raises
     ------
@@ -207,6 +217,7 @@ def calibrate_lights(
     14
     """
     from splitknit import read_rig
+    from splitknit_rig.calibration import ball_photos as balls
     from splitknit_rig.calibration import light_sources as lights
     from splitknit_rig.calibration.lights_found import Rules
     from splitknit_rig.calibration.nail import Nail
@@ -232,23 +243,29 @@ def calibrate_lights(
             image_size=image_size,
         )
 
+    refuse_given("goes with `sphere`.", **({} if sphere else {"ball": ball, "ground": ground}))
     target = _path(out)
     lights.check_lights_file(target)
     base = None if rig is None else read_rig(rig)
-    if base is None and (px_per_cm is not None or sphere is None):
-        base = lights.rig_without_leds(px_per_cm, image_size, led_height_cm)
     if sphere is not None:
         assert images is not None
-        return lights.lights_of_ball(
+        shown = balls.BallPhotographs(
             Path(images),
             sphere,
-            base,
-            target,
+            tuple(map(balls.ball_of_text, ball)),
+            _path(mask),
+            ground=ground,
             encoding=encoding,
-            mask=_path(mask),
             led_height_cm=led_height_cm,
         )
-    assert base is not None
+        base = base or balls.rig_of_balls(shown, px_per_cm, image_size)
+        return balls.lights_of_ball(shown, base, target)
+    require(
+        target is None or target.suffix.lower() != ".lp",
+        "an .lp file holds directions, and these lights have places; write a .txt or a rig file.",
+    )
+    if base is None:
+        base = lights.rig_without_leds(px_per_cm, image_size, led_height_cm)
     circle = lights.led_circle(base, led_radius_cm, led_height_cm, led_centre_px)
     if geometry:
         assert target is not None

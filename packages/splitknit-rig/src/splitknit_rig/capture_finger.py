@@ -266,8 +266,10 @@ def _lit(opener: Opener, name: str | None, seconds: float | None, *, preview: bo
     return Report({"led": name, "seconds": seconds}, (f"{name} was lit for {seconds:g} s.",))
 
 
+PREVIEW_PORT = 8765
+
+
 def _previewed(devices: Opened, led: int, seconds: float | None) -> Report:
-    from splitknit_rig.capture.parameters import PREVIEW_PORT, PREVIEW_S
     from splitknit_rig.capture.preview import Preview, serve_preview
 
     def ready(address: str) -> None:
@@ -275,7 +277,7 @@ def _previewed(devices: Opened, led: int, seconds: float | None) -> Report:
         sys.stderr.flush()
 
     preview = Preview(devices, led)
-    serve_preview(preview, seconds or PREVIEW_S, PREVIEW_PORT, ready)
+    serve_preview(preview, seconds or 600.0, PREVIEW_PORT, ready)
     facts = {"looks": preview.looks, "best_sharpness": preview.best}
     return Report(facts, (f"{preview.looks} pictures, best sharpness {preview.best:.2f} %.",))
 

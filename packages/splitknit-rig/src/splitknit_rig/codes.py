@@ -59,16 +59,35 @@ CODES: dict[str, Code] = {
     "shadow-out-of-view": Code(
         "A shadow of the nail leaves the picture.", "Use a shorter nail or move it to the middle."
     ),
-    "second-ball": Code(
-        "A second ball stands out in the photographs; the larger was used.",
-        "Cover it, or give the ball's outline (`--mask`).",
-    ),
     "unchecked-mask": Code(
-        "The ball's rim is not found near its mask, so that nothing checks the mask.",
-        "See that the mask ends at the rim.",
+        "The ball's rim is not found near its outline, so that nothing checks it.",
+        "See that the outline ends at the rim.",
     ),
     "corrected-mask": Code(
-        "The ball's mask lies beside its rim; the rim was used.", "Correct the mask."
+        "A ball's outline lies beside its rim; the rim was used.", "Correct the outline."
+    ),
+    "found-ball": Code(
+        "No outline was given, and the largest round thing is taken for the ball.",
+        "Give the ball's outline (`--ball`) where that is another thing.",
+    ),
+    "uncertain-distances": Code(
+        "The glints leave the lights' distances open; directions were written.",
+        "Outline a second ball, or let the ground count (`--ground`).",
+    ),
+    "glints-disagree": Code(
+        "The glints on the balls do not fit one place for each light.",
+        "Check outlines and scale.",
+    ),
+    "ground-departs": Code(
+        "The ground is not matt or not flat; the lights' distances are less certain.",
+        "Put the balls on matt paper.",
+    ),
+    "lights-left-out": Code(
+        "Lights without a glint on a ball's front are left out.",
+        "Nothing; or move the ball to where these lights reach it.",
+    ),
+    "directions-only": Code(
+        "An .lp file holds directions; the distances are lost.", "Write a .txt or a rig file."
     ),
     # calibrate radiometry
     "no-ambient-image": Code(

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.model import Led, default_rig, nominal_rig
+from splitknit.model import Led
+from splitknit.nominal import default_rig, nominal_rig
 from splitknit_rig.calibration.card_model import LADDER, Answer, CardModel, CardPlane, card_light
 from splitknit_rig.calibration.flat_field import fit_flat_field
 from splitknit_simulator.rigs import built_rig

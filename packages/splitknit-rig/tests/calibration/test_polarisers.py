@@ -15,13 +15,15 @@ import pytest
 
 from enrolled import facts_of, refusal_of
 from small_capture import edit
+from splitknit.capture import Band, Capture
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_channels
-from splitknit.imaging.polarised import aligned, contrast, without_films
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
-from splitknit.model import Band, Capture, Films
+from splitknit.model import Camera, Films
+from splitknit.observation.films import contrast
+from splitknit.observation.light import Light
+from splitknit.observation.observe import Observation, observe
 from splitknit_rig.calibration.polarisers import measure_ball
 from splitknit_simulator.bench_photos import behind_films, drawn_films
 from splitknit_simulator.calibration_set import solids
@@ -55,7 +57,7 @@ def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixt
     """Films that the photographs give, compared with the true ones."""
     out = tmp_path / "rig.json"
     words = "--out", out, "--residuals", tmp_path / "left.png"
-    facts = facts_of(capsys, "calibrate", "polarisers", folder, *words)
+    facts = facts_of(capsys, f"calibrate polarisers {folder}", *words)
     measured = read_rig(out).films
     assert measured is not None and measured.leds == films.leds
     low, high = np.transpose(facts["leak_interval"])
@@ -157,7 +159,7 @@ def test_photographs_that_do_not_show_the_films_are_refused(bench, spoil, words,
     own = Path(shutil.copytree(bench[0], tmp_path / "own"))
     spoil(own)
     out = "--out", tmp_path / "rig.json", "--residuals", tmp_path / "left.png"
-    assert words in refusal_of(capsys, "calibrate", "polarisers", own, *out)
+    assert words in refusal_of(capsys, f"calibrate polarisers {own}", *out)
     assert not (tmp_path / "rig.json").exists() and not (tmp_path / "left.png").exists()
 
 
@@ -186,39 +188,35 @@ def test_rig_files_with_wrong_films_are_refused(change, words):
 def test_measured_films_align_the_crossed_series(bench, tmp_path):
     folder, films = bench
     capture = _dark(folder / "card")
-    measured, facts = aligned(replace(capture, rig=replace(capture.rig, films=films)))
-    assert facts == {"films": "measured"}
+    measured = observe(replace(capture, rig=replace(capture.rig, films=films)))
+    assert measured.facts == {"films": "measured"}
 
-    def apart(of: Capture) -> float:
-        names = ("red", "green", "blue")
-        p, c = (
-            linear_channels(of.bands[name], of.encoding, names)
-            for name in ("white", "white_crossed")
-        )
+    def apart(of: Observation) -> float:
+        p, c = (of.bands[name].stack for name in ("white", "white_crossed"))
         inner = np.s_[..., 20:-20, 20:-20]
         return float(np.abs(c - p)[inner].mean() / p[inner].mean())
 
-    assert apart(capture) > 0.05
+    assert apart(observe(capture)) > 0.05
     assert apart(measured) < 0.01
     # light that no film has dimmed
-    white = linear_channels(without_films(measured).bands["white"], capture.encoding, ("grey",))
-    alone = linear_channels(measured.bands["white"], capture.encoding, ("grey",))
+    white, alone = measured.without_films().white.grey, measured.white.grey
     assert abs(float(white.mean() / alone.mean()) - 1.0) < 0.002
     write_capture(capture, tmp_path / "c")
     others = replace(films, leds=(*films.leds[1:], 12))
     write_rig(replace(capture.rig, films=others), tmp_path / "c" / "rig.json")
     with pytest.raises(BadInput, match="LED 0 lights a polarised image"):
-        aligned(_dark(tmp_path / "c"))
+        observe(_dark(tmp_path / "c"))
 
 
 @pytest.mark.slow
 def test_films_without_calibration_are_taken_as_ideal(bench):
     capture = _dark(bench[0] / "card")
-    same, facts = aligned(capture)
-    assert same is capture and facts == {"films": "taken as ideal"}
-    assert (contrast(capture, capture.bands["white"]) == 1.0).all()
+    same = observe(capture)
+    assert same.bands["white_crossed"].gains is None
+    assert same.facts == {"films": "taken as ideal"}
+    assert (contrast(None, same.white) == 1.0).all()
     alone = replace(capture, bands={"white": capture.bands["white"]})
-    assert aligned(alone) == (alone, {})
+    assert observe(alone).facts == {}
 
 
 def test_light_that_clips_behind_a_darker_film_clips_in_the_mean():
@@ -226,23 +224,21 @@ def test_light_that_clips_behind_a_darker_film_clips_in_the_mean():
     full = pixels.copy()
     full[0] = 255
     parts = {"leds": ((0,), (1,), (2,)), "exposure": np.ones(3), "black_level": np.zeros(3)}
+    rig = replace(built_rig(1, scale=0.05), camera=Camera(10.0, (4, 4)))
     for crossed, clips in ((pixels, False), (full, True)):
-        behind = Band("white_crossed", crossed, transmission=np.full((3, 3), 0.75), **parts)
-        white = Band("white", pixels, crossed=behind, **parts)
-        light = linear_channels(white, "linear", ("red",))[0, 0]
-        assert (light >= 0.985).all() == clips
+        behind = Light(Band("white_crossed", crossed, **parts), rig, "linear")
+        white = Light(Band("white", pixels, **parts), rig, "linear")
+        mean = replace(white, crossed=behind.divided_by(np.full((3, 3), 0.75)))
+        assert (mean.stack[0, 0] >= 0.985).all() == clips
 
 
 @pytest.mark.slow
 def test_the_contrast_agrees_with_that_of_the_highlights(bench):
     folder, films = bench
     capture = _dark(folder / "ball")
-    capture = aligned(replace(capture, rig=replace(capture.rig, films=films)))[0]
-    p, c = (
-        linear_channels(capture.bands[name], capture.encoding, ("grey",))[0]
-        for name in ("white", "white_crossed")
-    )
-    for k, expected in enumerate(contrast(capture, capture.bands["white"])):
+    lit = observe(replace(capture, rig=replace(capture.rig, films=films)))
+    p, c = (lit.bands[name].grey for name in ("white", "white_crossed"))
+    for k, expected in enumerate(contrast(films, lit.white)):
         row, column = np.unravel_index(int(p[k].argmax()), p[k].shape)
         spot = np.s_[row - 8 : row + 9, column - 8 : column + 9]
         a, b = float(p[k][spot].sum()), float(c[k][spot].sum())

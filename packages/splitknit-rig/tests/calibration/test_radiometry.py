@@ -163,7 +163,7 @@ def test_another_exposure_is_not_taken_for_drift(rig, calibrated):
     later = photograph(rig, as_placed(rig), exposures=(4.5, 3.5))
     assert check_card(later, calibrated.rig).facts["findings"] == []
     unknown = {
-        name: replace(band, exposure=np.ones(7), ambient_exposure=1.0)
+        name: replace(band, exposure=np.ones(7), ambient=replace(band.ambient, exposure=1.0))
         for name, band in later.bands.items()
     }
     check = check_card(replace(later, bands=unknown), calibrated.rig).facts

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_rig.calibration.shadow import find_nail
 from splitknit_simulator.calibration_set.bench import photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.solids import NailScene

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_rig.calibration.sphere import (
     Ball,
-    ball_of_mask,
+    balls_of_mask,
     chrome_directions,
     find_ball,
-    find_balls,
     grey_directions,
     rim_of,
 )
@@ -65,33 +64,18 @@ def test_highlights_give_directions():
         stack[k] = 0.02 + 0.9 * np.exp(-((columns - column) ** 2 + (rows - row) ** 2) / 8)
     assert errors_deg(chrome_directions(stack, BALL), lights()).max() < 0.2
     stack[2] = 0.02
-    with pytest.raises(BadInput, match="image 2: no highlight"):
-        chrome_directions(stack, BALL)
+    without = np.isnan(chrome_directions(stack, BALL)).all(axis=1)
+    assert np.flatnonzero(without).tolist() == [2]
 
 
 def test_the_outline_is_found_in_a_mask_and_in_an_image():
     inside = np.isfinite(BALL.normals(SIZE)[..., 2])
     for outline in (
-        ball_of_mask(inside),
+        balls_of_mask(inside)[0],
         find_ball(np.where(inside, 0.5, 0.02)[None].astype(np.float32)),
     ):
         assert (outline.column, outline.row) == pytest.approx((BALL.column, BALL.row), abs=0.2)
         assert outline.radius_px == pytest.approx(BALL.radius_px, abs=0.5)
-
-
-@pytest.mark.parametrize(("half_side_px", "balls"), [(0, 2), (18, 1)])
-def test_a_second_ball_is_found_and_a_cube_is_none(half_side_px, balls):
-    rows, columns = np.mgrid[: SIZE[0], : SIZE[1] + 80]
-    beside = np.hypot(columns - 190, rows - 40) < 25
-    if half_side_px:
-        beside = np.maximum(abs(columns - 190), abs(rows - 40)) < half_side_px
-    stack = np.pad(shaded(lights(), np.full(6, 0.8)), [(0, 0), (0, 0), (0, 80)])
-    stack[:, beside] = 0.4
-    outlines = find_balls(stack + 0.02)
-    assert len(outlines) == balls
-    assert outlines[0].column == pytest.approx(BALL.column, abs=0.5)
-    if balls == 2:
-        assert (outlines[1].column, outlines[1].radius_px) == pytest.approx((190, 25), abs=0.5)
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 1.04), (5.0, -2.0, 1.0), (-3.0, 4.0, 0.97)])
@@ -134,11 +118,11 @@ def test_simulated_balls_give_the_directions_of_their_leds(chrome):
 
 def test_images_and_masks_without_a_ball_are_refused():
     with pytest.raises(BadInput, match="empty"):
-        ball_of_mask(np.zeros(SIZE, bool))
+        balls_of_mask(np.zeros(SIZE, bool))
     bar = np.zeros(SIZE, bool)
     bar[50:60] = True
     with pytest.raises(BadInput, match="not a disc"):
-        ball_of_mask(bar)
+        balls_of_mask(bar)[0]
     with pytest.raises(BadInput, match="`mask`"):
         find_ball(np.repeat(bar[None].astype(np.float32), 2, axis=0))
     with pytest.raises(BadInput, match="image 0"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from contract import CameraContract, LightContract
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_simulator.camera.device import Clock, TwinCamera, TwinLightBank
 from splitknit_simulator.twin import FingerScene
 

@@ -16,7 +16,7 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture
 from splitknit.io.rig import write_rig
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_rig.capture.pi import PiAnalyser
 from splitknit_rig.capture.pins import NIR_PINS, SECOND_PINS, WHITE_PINS, RigFilms, rig_films
 from splitknit_rig.capture.session import SessionSettings, run_session
@@ -140,7 +140,7 @@ def test_films_on_the_twin_are_refused(tmp_path, capsys):
     write_rig(with_films(default_rig(), kind="servo"), tmp_path / "rig.json")
     words = "--rig", tmp_path / "rig.json", "--out", tmp_path / "c"
     # before anything is simulated
-    refusal = refusal_of(capsys, "capture", "--device", "twin", *words)
+    refusal = refusal_of(capsys, "capture --device twin", *words)
     assert "the twin's camera and LEDs have not" in refusal
 
 

@@ -14,7 +14,7 @@ from test_contract_pi import PINS, pins  # noqa: F401 - a fixture
 
 from fake_picamera2 import FakePicamera2, FakeRequest, World
 from splitknit.errors import BadInput
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_rig.capture.pi import SENSORS, PiCamera, PiCameraSettings, developed, opened_pi
 
 SMALL = PiCameraSettings(image_size=(64, 96))

@@ -15,7 +15,7 @@ from fake_picamera2 import FakePicamera2, FakeRequest, World
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
 from splitknit.io.rig import write_rig
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_rig.capture import pi
 
 CAMERA = ("--set", "pi.image_size=[220, 320]")
@@ -53,7 +53,7 @@ def rig_of_pi(monkeypatch, finger, tmp_path):
     monkeypatch.setattr(pi.PiLightBank, "_wait", lambda self, seconds: world.sleep(seconds))
     mock_pins()
     write_rig(default_rig(0.1, 0), tmp_path / "rig.json")
-    yield ["capture", "--device", "pi", "--rig", str(tmp_path / "rig.json"), *CAMERA], world
+    yield [*f"capture --device pi --rig {tmp_path}/rig.json".split(), *CAMERA], world
     pins = [gpiozero.Device.pin_factory.pin(pin) for pin in PINS]
     assert not any(pin.state for pin in pins if pin.function == "output")
     gpiozero.Device.pin_factory.reset()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_rig.capture.pins import DEFAULT_PINS, led_names, pins_of
 
 

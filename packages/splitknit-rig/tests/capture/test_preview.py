@@ -6,6 +6,7 @@ import base64
 import http.client
 import json
 import threading
+from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
@@ -13,27 +14,28 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit_rig.capture import parameters
+from splitknit_rig import capture_finger
 from splitknit_rig.capture.openers import opener_of
 from splitknit_rig.capture.preview import Preview, serve_preview
 
 
-def ask(port: int, path: str, host: str | None = None) -> tuple[int, bytes]:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
-    connection.request("GET", path, headers={} if host is None else {"Host": host})
+def ask(address: str, name: str = "", host: str | None = None) -> tuple[int, bytes]:
+    place = urlsplit(address)
+    connection = http.client.HTTPConnection(place.netloc, timeout=30)
+    connection.request("GET", place.path + name, headers={} if host is None else {"Host": host})
     answer = connection.getresponse()
     return answer.status, answer.read()
 
 
 @pytest.fixture
 def served():
-    """A preview of the twin's checkerboard in a thread, its port, and its devices."""
+    """A preview of the twin's checkerboard in a thread, its address, and its devices."""
     opener = opener_of("twin", {}, None, 0.1, target="board")
     with opener(0, 0) as devices:
         preview, places, known = Preview(devices, 2), [], threading.Event()
 
         def ready(address: str) -> None:
-            places.append(int(address.rstrip("/").rpartition(":")[2]))
+            places.append(address)
             known.set()
 
         thread = threading.Thread(target=serve_preview, args=(preview, 5.0, 0, ready))
@@ -44,11 +46,11 @@ def served():
 
 
 def test_the_page_shows_sharpness_and_histogram(served):
-    port, preview, devices = served
-    code, page = ask(port, "/")
+    address, preview, devices = served
+    code, page = ask(address)
     assert code == 200 and b"histogram" in page and b"http" not in page.split(b"<body>")[1]
     for _ in range(4):  # the exposure is found by and by
-        code, body = ask(port, "/look")
+        code, body = ask(address, "look")
         assert code == 200
     seen = json.loads(body)
     assert 0 < seen["sharpness"] <= seen["best"] == pytest.approx(preview.best, abs=1e-3)
@@ -59,10 +61,24 @@ def test_the_page_shows_sharpness_and_histogram(served):
         picture = cv2.imdecode(np.frombuffer(base64.b64decode(seen[name]), np.uint8), 1)
         assert picture.shape[2] == 3 and picture.max() > 100
     assert devices.lights.lit == {2}
-    assert ask(port, "/look", host="evil.example")[0] == 403
-    assert ask(port, "/etc/passwd")[0] == 404
+    assert ask(address, "nothing")[0] == 404
+    port = urlsplit(address).port
     with pytest.raises(BadInput, match=f"port {port} of this computer is taken"):
         serve_preview(preview, 0.1, port, print)
+
+
+def test_who_does_not_know_the_address_gets_no_picture(served):
+    address, preview, _ = served
+    looks = preview.looks
+    bare, secret = f"http://{urlsplit(address).netloc}/", urlsplit(address).path.strip("/")
+    assert len(secret) >= 43  # 256 bits
+    wrong = secret[:-1] + ("a" if secret[-1] != "a" else "b")
+    for guess in ("", "look", "etc/passwd", "/look", f"{wrong}/look", f"x/{secret}/look", "%FF/"):
+        code, body = ask(bare, guess)
+        assert code == 404 and secret.encode() not in body, guess
+    code, body = ask(address, "look", host="evil.example")
+    assert code == 403 and secret.encode() not in body
+    assert preview.looks == looks
 
 
 def test_it_is_sharpest_in_focus():
@@ -76,7 +92,7 @@ def test_it_is_sharpest_in_focus():
 
 
 def test_the_command(monkeypatch, capsys):
-    monkeypatch.setattr(parameters, "PREVIEW_PORT", 0)
+    monkeypatch.setattr(capture_finger, "PREVIEW_PORT", 0)
     words = ["capture", "--device", "twin", "--preview", "--scale", "0.1", "--target", "board"]
     assert main([*words, "--seconds", "0.3"]) == 0
     printed = capsys.readouterr()

@@ -7,8 +7,8 @@ import pytest
 
 from faulty_scene import Faults, FaultyScene
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_stack
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
+from splitknit.observation.light import Light
 from splitknit_rig.capture.session import SessionSettings, run_session
 from splitknit_rig.capture.shots import CheckSettings
 from splitknit_simulator.camera import device
@@ -58,10 +58,10 @@ def test_a_session_takes_an_ambient_frame_and_every_led_of_both_bands(done, fing
         assert images.pixels.shape == (7, 220, 320, 3)
         assert images.leds == tuple((first + k,) for k in range(7))
         assert (images.exposure == images.exposure[0]).all()
-        assert images.exposure[0] == images.ambient_exposure
-        assert images.ambient_exposure == pytest.approx(session.exposures[band].exposure_s)
+        assert images.exposure[0] == images.ambient.exposure
+        assert images.ambient.exposure == pytest.approx(session.exposures[band].exposure_s)
         skin = finger.surface.mask
-        assert images.ambient[skin].mean() < 0.05 * images.pixels[:, skin].mean()
+        assert images.ambient.pixels[skin].mean() < 0.05 * images.pixels[:, skin].mean()
     assert session.exposures["white"] != session.exposures["nir"]
 
 
@@ -80,7 +80,7 @@ def test_every_image_is_lit_by_its_led(done, finger):
     """Each image, ambient taken off, is the twin's light of its LED."""
     session, _ = done
     for band, first in (("white", 0), ("nir", 7)):
-        stack = linear_stack(session.bands[band], "linear", "green")
+        stack = Light(session.bands[band], finger.rig, "linear").stack[1]
         for k in (0, 3, 6):
             light = finger.light([first + k])[..., 1] - finger.light([])[..., 1]
             fits = finger.surface.mask & (light < 0.5 * np.percentile(light, 99.9))

@@ -293,7 +293,7 @@ def test_jpeg_is_detected_in_the_pixels(twin_folder, tmp_path, capsys):
         for file in folder.glob("[wn]*_*.png") if quality else ():
             repaint(file, through_jpeg)
         out = tmp_path / f"result_{quality}"
-        printed = words_of(capsys, "reconstruct", folder, "--out", out)
+        printed = words_of(capsys, f"reconstruct {folder} --out {out}")
         assert ("saved as JPEG" in printed) == (quality > 0)
         with np.load(out / "height.npz") as saved:
             mask = saved["mask"]
@@ -308,7 +308,7 @@ def test_a_mask_helps_where_the_finger_touches_three_borders(preset, twin_folder
     too_close(folder)
     mask_of((330, 110), np.s_[120:], np.s_[:])(folder)
     out = tmp_path / "result"
-    facts = facts_of(capsys, "reconstruct", folder, "--out", out, "--preset", preset)
+    facts = facts_of(capsys, f"reconstruct {folder} --out {out} --preset {preset}")
     assert facts["facts"]["mask"] == "given"
     with np.load(out / "height.npz") as arrays:
         assert arrays["mask"].sum() == 210 * 110

@@ -48,13 +48,13 @@ def photos(tmp_path_factory):
     return place, rig
 
 
-def facts(capsys, *words):
-    return facts_of(capsys, "calibrate", "camera", *words)
+def facts(capsys, command, *words):
+    return facts_of(capsys, f"calibrate camera {command}", *words)
 
 
-def refused(capsys, out, *words):
+def refused(capsys, out, command="", *words):
     """The one sentence with which a command is refused; nothing is written."""
-    message = refusal_of(capsys, "calibrate", "camera", *words, "--out", out)
+    message = refusal_of(capsys, f"calibrate camera {command}", *words, "--out", out)
     assert message.startswith("splitknit: error: ")
     assert not out.exists()
     return message
@@ -142,7 +142,7 @@ def test_the_summary_is_printed_and_the_rest_of_the_rig_kept(photos, tmp_path, c
     shutil.copytree(place / "boards", folder)
     write_image(folder / "x.png", np.tile(np.arange(480, dtype=np.uint8), (330, 1)))
     words = "--rig", before, "--plane", place / "plane.png", "--out", out
-    printed = words_of(capsys, "calibrate", "camera", folder, *words)
+    printed = words_of(capsys, f"calibrate camera {folder}", *words)
     assert f"from {COUNT} of {COUNT + 1} photographs" in printed
     assert "left out: x.png, no board of 9x6 inner corners in full view" in printed
     assert "focal length 15" in printed
@@ -159,9 +159,9 @@ def test_the_summary_is_printed_and_the_rest_of_the_rig_kept(photos, tmp_path, c
 def test_the_plane_alone_measures_the_height_again(photos, tmp_path, capsys):
     place, rig = photos
     out, moved = tmp_path / "flat.json", tmp_path / "moved.json"
-    assert "`plane`" not in refused(capsys, out, "--plane", place / "plane.png")
+    assert "`plane`" not in refused(capsys, out, f"--plane {place}/plane.png")
     write_rig(replace(rig, camera=replace(rig.camera, height_mm=150.0, px_per_mm=11.0)), moved)
-    stated = facts(capsys, "--plane", place / "plane.png", "--rig", moved, "--out", out)
+    stated = facts(capsys, f"--plane {place}/plane.png --rig {moved} --out {out}")
     assert stated["height_mm"] == pytest.approx(rig.camera.height_mm, rel=1e-3)
     assert stated["px_per_mm"] == pytest.approx(rig.camera.px_per_mm, rel=1e-3)
     assert np.array_equal(stated["matrix"], rig.camera.matrix)
@@ -184,7 +184,7 @@ def test_an_oblique_camera_gets_a_finding(photos, known, tmp_path, capsys):
 
 def test_a_height_that_was_not_measured_gets_a_finding(photos, tmp_path, capsys):
     place, rig = photos
-    stated = facts(capsys, place / "boards", "--out", tmp_path / "rig.json")
+    stated = facts(capsys, f"{place}/boards --out {tmp_path}/rig.json")
     assert stated["nominal"] == ["camera.px_per_mm", "camera.height_mm", "leds"]
     assert stated["height_mm"] == 140.0
     assert stated["px_per_mm"] == pytest.approx(rig.camera.matrix[0, 0] / 140, rel=0.003)
@@ -198,8 +198,8 @@ def test_photographs_in_capture_folders_are_chosen_by_a_pattern(photos, tmp_path
         shutil.copy(file, tmp_path / f"board_{k}" / "white_0.png")
         shutil.copy(place / "boards" / "0.png", tmp_path / f"board_{k}" / "white_1.png")
     plain, inside = tmp_path / "plain.json", tmp_path / "inside.json"
-    facts(capsys, place / "boards", "--out", plain)
-    stated = facts(capsys, tmp_path, "--pattern", "board_*/white_0.png", "--out", inside)
+    facts(capsys, f"{place}/boards --out {plain}")
+    stated = facts(capsys, f"{tmp_path} --pattern", "board_*/white_0.png", "--out", inside)
     np.testing.assert_array_equal(read_rig(inside).camera.matrix, read_rig(plain).camera.matrix)
     assert "board_3/white_0.png" in str(stated)
 
@@ -230,6 +230,7 @@ def test_folders_without_enough_photographs_are_refused(photos, tmp_path, capsys
     assert "9.png is not a PNG, TIFF or JPEG image" in refused(capsys, out, few)
     (few / "9.png").unlink()
     write_image(few / "9.png", np.zeros((100, 200), np.uint8))
+    (few / "9.png").write_bytes((few / "9.png").read_bytes()[:50])  # what its header states
     assert "9.png has 100 x 200 pixels (rows x columns), but 0.png has 330 x 480" in refused(
         capsys, out, few
     )
@@ -239,16 +240,16 @@ def test_images_and_numbers_that_cannot_be_used_are_refused(photos, known, tmp_p
     out, plane = tmp_path / "rig.json", photos[0] / "plane.png"
     grey, black, small = (tmp_path / f"{name}.png" for name in ("grey", "black", "small"))
     write_image(grey, np.tile(np.arange(480, dtype=np.uint8), (330, 1)))
-    assert "grey.png shows no checkerboard of 9x6" in refused(capsys, out, "--plane", grey)
-    assert "does not exist" in refused(capsys, out, "--plane", tmp_path / "none.png")
+    assert "grey.png shows no checkerboard of 9x6" in refused(capsys, out, f"--plane {grey}")
+    assert "does not exist" in refused(capsys, out, f"--plane {tmp_path}/none.png")
     write_image(black, np.zeros((330, 480), np.uint8))
     assert "black.png: an image is of one brightness all over" in refused(
         capsys, out, "--plane", black
     )
     write_image(small, np.zeros((100, 200), np.uint8))
-    assert f"but {known} has 330 x 480" in refused(capsys, out, "--plane", small, "--rig", known)
-    assert "such as 9x6" in refused(capsys, out, "--plane", plane, "--board", "nine")
-    assert "side of a square" in refused(capsys, out, "--plane", plane, "--square-mm", 0)
+    assert f"but {known} has 330 x 480" in refused(capsys, out, f"--plane {small} --rig {known}")
+    assert "such as 9x6" in refused(capsys, out, f"--plane {plane} --board nine")
+    assert "side of a square" in refused(capsys, out, f"--plane {plane} --square-mm 0")
 
 
 def test_a_height_far_from_that_of_the_rig_gets_a_note(photos, known, tmp_path, capsys):

@@ -8,8 +8,8 @@ import numpy as np
 from splitknit import BadInput, Reconstruction
 from splitknit.accuracy import BAND_SIGMA_MM, eroded, high_passed
 from splitknit.errors import require
+from splitknit.imaging.geometry import Floats, pixels_above, sampled_at
 from splitknit.model import BoolArray, FloatArray
-from splitknit_rig.acceptance.parameters import EDGE_MM, MAX_TURN_DEG, MIN_LIKENESS, REACH_MM
 from splitknit_rig.calibration.phantom import FIELDS_END_MM, PITCH_MM, PLATE_MM, phantom
 
 _UNSEEN = "the phantom's ridges are not seen; lay it tip up on dark ground, in focus."
@@ -24,11 +24,12 @@ def ridge_heights(result: Reconstruction) -> tuple[float, float]:
     drawn, _ = phantom()
     seen = _on_grid(result)
     template = _relief(drawn.height_mm, drawn.mask)
-    size = np.array(template.shape[::-1]) + 2 * round(REACH_MM / PITCH_MM)
+    # the phantom may lie up to 4 mm off the picture's middle, each way
+    size = np.array(template.shape[::-1]) + 2 * round(4.0 / PITCH_MM)
     middle = (np.array(seen.shape[::-1]) - 1.0) / 2
     centring = (size - 1.0) / 2 - middle
     best = -1.0
-    for turn in np.arange(-MAX_TURN_DEG, MAX_TURN_DEG + 0.5, 1.0):
+    for turn in np.arange(-10.0, 10.5, 1.0):  # deg
         ahead = np.asarray(cv2.getRotationMatrix2D(middle.tolist(), turn, 1.0), dtype=np.float64)
         ahead[:, 2] += centring
         turned = cv2.warpAffine(seen, ahead, size.tolist())
@@ -51,14 +52,15 @@ def ridge_heights(result: Reconstruction) -> tuple[float, float]:
     both[: round((PLATE_MM[1] / 2 - FIELDS_END_MM) / PITCH_MM)] = False  # the marks
     require(both.any(), _UNSEEN)
     likeness = float(np.corrcoef(measured[both], template[both])[0, 1])
-    require(likeness > MIN_LIKENESS, _UNSEEN)
+    require(likeness > 0.5, _UNSEEN)
     return float(measured[both] @ template[both] / (template[both] @ template[both])), likeness
 
 
 def _relief(height_mm: FloatArray, mask: BoolArray) -> FloatArray:
     """The ridge band, zero beside the phantom and at its edge."""
     relief = high_passed(np.nan_to_num(height_mm), mask, BAND_SIGMA_MM / PITCH_MM)
-    return np.where(eroded(mask, EDGE_MM / PITCH_MM), relief, 0.0).astype(np.float32)
+    # the outermost 0.8 mm do not count: they are the steepest
+    return np.where(eroded(mask, 0.8 / PITCH_MM), relief, 0.0).astype(np.float32)
 
 
 def _on_grid(result: Reconstruction) -> FloatArray:
@@ -68,24 +70,13 @@ def _on_grid(result: Reconstruction) -> FloatArray:
     size = [round(length * result.pitch_mm / PITCH_MM) + 1 for length in (rows, columns)]
     y, x = ((np.arange(n) - (n - 1) / 2) * PITCH_MM for n in size)
     x, y = np.broadcast_arrays(x[None, :], -y[:, None])
-    ahead = x / result.pitch_mm + (columns - 1) / 2, (rows - 1) / 2 - y / result.pitch_mm
-    column, row = (axis.astype(np.float32) for axis in ahead)
-    if result.x_mm is not None and result.y_mm is not None:  # perspective
-        plane, at = (column, row), np.indices(known.shape)
-        points = (
-            result.x_mm / result.pitch_mm + (columns - 1) / 2,
-            (rows - 1) / 2 - result.y_mm / result.pitch_mm,
-        )
-        beside = [
-            np.where(known, point - pixel, 0.0).astype(np.float32)
-            for point, pixel in zip(points, at[::-1], strict=True)
-        ]
-        for _ in range(4):  # a contraction, by the depth over the distance
-            column, row = (
-                line - cv2.remap(shift, column, row, cv2.INTER_LINEAR)
-                for line, shift in zip(plane, beside, strict=True)
-            )
+
+    def pixel(x_mm: Floats, y_mm: Floats) -> tuple[Floats, Floats]:
+        return x_mm / result.pitch_mm + (columns - 1) / 2, (rows - 1) / 2 - y_mm / result.pitch_mm
+
+    place = pixel(x, y)
+    if result.x_mm is not None and result.y_mm is not None:
+        place = pixels_above(pixel(result.x_mm, result.y_mm), known, *place)
+    mask = sampled_at(known.astype(np.float32), *place, outside=0.0) > 0.999
     height = np.where(known, result.height_mm, 0.0).astype(np.float32)
-    mask = cv2.remap(known.astype(np.float32), column, row, cv2.INTER_LINEAR) > 0.999
-    height = np.asarray(cv2.remap(height, column, row, cv2.INTER_CUBIC), dtype=np.float32)
-    return _relief(height, mask)
+    return _relief(sampled_at(height, *place, cv2.INTER_CUBIC, 0.0), mask)

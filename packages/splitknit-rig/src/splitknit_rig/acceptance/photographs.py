@@ -14,7 +14,6 @@ from splitknit.errors import BadExposure, Refused, require
 from splitknit.io.images import write_image
 from splitknit.io.provenance import json_text
 from splitknit.model import Array, Progress
-from splitknit_rig.acceptance.parameters import SERIES_FRACTIONS
 from splitknit_rig.acceptance.questions import (
     Answer,
     Taken,
@@ -130,6 +129,10 @@ def take_photographs(
             if part == "card":
                 _take_series(devices, out / part)
     return {part: out / part for part in PARTS}
+
+
+SERIES_FRACTIONS = (0.15, 0.3, 0.5, 0.7, 0.85, 1.0)
+"""Exposures of the card's series, relative to the longest."""
 
 
 def _take_series(devices: Opened, folder: Path) -> None:

@@ -13,22 +13,8 @@ import numpy as np
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.findings import Finding, Severity
+from splitknit.imaging.robust import deviation
 from splitknit.model import Array, FloatArray
-from splitknit_rig.calibration.parameters import (
-    FOCAL_ERROR_NOTED,
-    GROSS_ASPECT,
-    MAX_ASPECT,
-    MAX_FOCAL_ERROR,
-    MAX_FOCAL_SIDES,
-    MIN_COVERAGE,
-    MIN_VARIETY_DEG,
-    MIN_VIEWS,
-    OUTLIER_RATIO,
-    OUTLIER_SPREAD,
-    PRINCIPAL_LIMIT,
-    SAME_VIEW_PX,
-    SIGNIFICANCE,
-)
 from splitknit_rig.calibration.targets import Board
 
 TERMS = ("k1", "k2", "p1", "p2", "k3")  # coefficients of the distortion, in OpenCV's order
@@ -69,7 +55,7 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
     """Fit matrix and distortion to `corner_sets`, V arrays (N, 2) of columns and rows of the
     corners `board_mm` (N, 2). Square pixels and no distortion come first; k1, k2, (p1, p2), k3 and
     the ratio of the focal lengths are added in turn, each kept only if it differs from zero by more
-    than `SIGNIFICANCE` of its standard deviations. An undetermined principal point is held at the
+    than four of its standard deviations. An undetermined principal point is held at the
     image's middle. The focal length's standard deviation is the larger one of the fit's and of fits
     with other lengths held. Raises BadInput if the views determine no camera. Source: Z. Zhang, "A
     flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms and deviations as
@@ -82,9 +68,7 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
     kept: tuple[str, ...] = ("cx", "cy")
     fixed: dict[str, str] = {}
     best = _fit(views, kept)
-    if (off := max(best.deviations["cx"], best.deviations["cy"])) > PRINCIPAL_LIMIT * max(
-        image_size
-    ):
+    if (off := max(best.deviations["cx"], best.deviations["cy"])) > 0.05 * max(image_size):
         words = (
             f"{off:.0f} px of standard deviation are too much; it was held in the middle of the"
             " image"
@@ -110,13 +94,11 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
             "aspect": abs(values["aspect"]) / _root_rise(best, trial, views),
         }
         ratio = max(abs(values[term]) / max(deviations[term], 1e-300) for term in step)
+        # a ratio of focal lengths nearer to one is kept only after k1 was tried
         gross = (
-            step != ("aspect",)
-            or abs(values["aspect"]) > GROSS_ASPECT
-            or "k1" in fixed
-            or "k1" in kept
+            step != ("aspect",) or abs(values["aspect"]) > 0.015 or "k1" in fixed or "k1" in kept
         )
-        if ratio > SIGNIFICANCE and gross:
+        if ratio > 4.0 and gross:
             kept, best = kept + step, trial
             fixed.pop(_called(step), None)
         elif step == ("aspect",):
@@ -168,8 +150,9 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
     matrix = np.asarray(fitted, dtype=np.float64)
     focal_px = np.diag(matrix)[:2]
     sound = np.isfinite(matrix).all() and np.isfinite(deviations).all()
+    # the fit ran away if the focal length exceeds 40 sides of the image
     require(
-        bool(sound and focal_px.min() > 0 and focal_px.max() < MAX_FOCAL_SIDES * max(views.size)),
+        sound and focal_px.min() > 0 and focal_px.max() < 40.0 * max(views.size),
         _UNDETERMINED,
     )
     names = ("fx", "fy", "cx", "cy", *TERMS)
@@ -267,10 +250,8 @@ def fit_camera(
     while True:
         lens = fit_lens(board.points_mm, [views[k] for k in kept], image_size)
         worst, middle = int(np.argmax(lens.view_rms_px)), float(np.median(lens.view_rms_px))
-        spread = 1.4826 * float(np.median(np.abs(lens.view_rms_px - middle)))
-        if not lens.view_rms_px[worst] > max(
-            middle + OUTLIER_SPREAD * spread, OUTLIER_RATIO * middle
-        ):
+        spread = deviation(lens.view_rms_px - middle)
+        if not lens.view_rms_px[worst] > max(middle + 5.0 * spread, 1.6 * middle):
             break
         rejected[names[kept[worst]]] = float(lens.view_rms_px[worst])
         del kept[worst]
@@ -306,12 +287,15 @@ def _without_repeats(views: list[Array], names: list[str]) -> tuple[list[int], d
             # a board that is named from its other end is the same one
             both = (views[earlier], views[earlier][::-1])
             apart = min(float(np.sqrt(((view - there) ** 2).sum(axis=1).mean())) for there in both)
-            if apart < SAME_VIEW_PX:
+            if apart < 0.3:  # px rms: one view, photographed twice
                 repeated[names[k]] = names[earlier]
                 break
         else:
             kept.append(k)
     return kept, repeated
+
+
+MIN_VIEWS = 5
 
 
 def _require_enough(count: int, total: int, why: str) -> None:
@@ -322,11 +306,14 @@ def _require_enough(count: int, total: int, why: str) -> None:
     )
 
 
+_MIN_VARIETY_DEG = 10.0  # between two of the boards' normals
+
+
 def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tuple[Finding, ...]:
     """Findings, or the refusal of views that determine too little."""
     ratio = float(lens.matrix[0, 0] / lens.matrix[1, 1])
     require(
-        abs(ratio - 1) < MAX_ASPECT,
+        abs(ratio - 1) < 0.02,
         f"the pixels come out as no squares (fx / fy = {ratio:.3f}): the photographs were"
         " stretched, or the printed squares are none; measure the print along both sides, and use"
         " the camera's own images.",
@@ -337,8 +324,8 @@ def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tu
         " at most"
     )
     remedy = "tilt the board by 20 to 40 deg to several sides"
-    if relative > MAX_FOCAL_ERROR:
-        if variety < MIN_VARIETY_DEG:
+    if relative > 0.01:
+        if variety < _MIN_VARIETY_DEG:
             raise BadInput(
                 f"the boards all lie nearly parallel ({tilted}); then focal length and distance"
                 f" cannot be separated (the focal length is uncertain by {100 * relative:.1f} %);"
@@ -350,16 +337,16 @@ def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tu
             " picture, and hold it still."
         )
     findings = []
-    if relative > FOCAL_ERROR_NOTED:
+    if relative > 0.003:  # the goal of the camera's calibration
         words = f"the focal length is uncertain by {100 * relative:.2f} % ({tilted}); {remedy}."
         findings.append(Finding("uncertain-focal-length", words, Severity.DOUBT))
-    elif variety < MIN_VARIETY_DEG:
+    elif variety < _MIN_VARIETY_DEG:
         words = f"the boards lie nearly parallel ({tilted}); {remedy}."
         findings.append(Finding("parallel-boards", words))
     if "principal point" in lens.fixed:
         words = f"the principal point is not determined ({lens.fixed['principal point']})."
         findings.append(Finding("held-principal-point", words))
-    if coverage < MIN_COVERAGE:
+    if coverage < 0.5:
         words = (
             f"the boards cover {100 * coverage:.0f} % of the picture; outside them the distortion"
             " is a guess: let the board reach into every corner."

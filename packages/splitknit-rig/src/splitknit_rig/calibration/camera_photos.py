@@ -19,24 +19,18 @@ from splitknit.arguments import text_of
 from splitknit.errors import naming, require
 from splitknit.files import read_bytes
 from splitknit.findings import Finding, Severity, worst_first
-from splitknit.io.images import decode_image
-from splitknit.io.parameters import MAX_BYTES
+from splitknit.io.images import MAX_BYTES, decode_image
 from splitknit.io.photograph_files import natural_order
 from splitknit.io.provenance import provenance
-from splitknit.io.targets import check_rig_file
-from splitknit.model import Array, PixelArray, Progress, default_rig, no_progress
+from splitknit.model import Array, PixelArray, Progress, no_progress
+from splitknit.nominal import default_rig
 from splitknit.plausible import CAMERA_HEIGHT
-from splitknit_rig.calibration.camera import CameraCalibration, fit_camera
-from splitknit_rig.calibration.parameters import (
-    FINGER_DEPTH_MM,
-    MAX_CAMERA_TILT_DEG,
-    MIN_VIEWS,
-    POSES_HEIGHT,
-    POSES_TILT_DEG,
-)
+from splitknit_rig.calibration.camera import MIN_VIEWS, CameraCalibration, fit_camera
+from splitknit_rig.calibration.nail_photos import SUFFIXES
 from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
 from splitknit_rig.calibration.targets import Board, find_board
 from splitknit_rig.calibration.words import camera_lines
+from splitknit_rig.calibration.written import check_rig_file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,8 +180,6 @@ def calibrate_to_rig(
 
 # Photographs of checkerboards: reading them, and finding what they show.
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-
 
 def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
     """Images in `folder`, in the order that people count, or of its capture folders by a glob
@@ -204,12 +196,12 @@ def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
     if pattern is not None:
         files = [file for file in files if fnmatch.fnmatchcase(_label(file, folder), pattern)]
         require(
-            bool(files),
+            files,
             f"no image in '{folder}' fits the pattern '{pattern}' ({count} images are there); "
             "quote the pattern and compare it with the files' names.",
         )
     require(
-        bool(files),
+        files,
         f"'{folder}' holds no images (PNG, JPEG or TIFF); put the checkerboard photographs there.",
     )
     return sorted(files, key=lambda file: natural_order(_label(file, folder)))
@@ -237,14 +229,17 @@ class _Photos:
     def read(self, file: Path, name: str | None = None) -> PixelArray:
         """Pixels of an image, which is called `name`."""
         data = read_bytes(file, MAX_BYTES)
-        pixels = decode_image(data, str(file))
-        rows, columns = pixels.shape[:2]
-        size, reference = self._expected = self._expected or ((rows, columns), name or file.name)
-        require(
-            (rows, columns) == size,
-            f"{file} has {rows} x {columns} pixels (rows x columns), but {reference} has {size[0]}"
-            f" x {size[1]}; photograph everything with the camera's one setting.",
-        )
+
+        def check(rows: int, columns: int) -> None:
+            expected = self._expected or ((rows, columns), name or file.name)
+            size, reference = self._expected = expected
+            require(
+                (rows, columns) == size,
+                f"{file} has {rows} x {columns} pixels (rows x columns), but {reference} has"
+                f" {size[0]} x {size[1]}; photograph everything with the camera's one setting.",
+            )
+
+        pixels = decode_image(data, str(file), check=check)
         self.hashes[name or file.name] = hashlib.sha256(data).hexdigest()
         return pixels
 
@@ -346,25 +341,29 @@ def _plane_facts(
     }
 
 
+_FINGER_DEPTH_MM = 8.0
+"""Of the finger that the camera sees."""
+
+
 def _plane_findings(
     camera: Camera, poses: Mapping[str, PlanePose], pose: PlanePose
 ) -> list[Finding]:
     findings = []
-    if pose.tilt_deg > MAX_CAMERA_TILT_DEG:
+    if pose.tilt_deg > 1.0:
         slope = math.tan(math.radians(pose.tilt_deg))
         reach = math.hypot(*camera.image_size) / 2 / camera.px_per_mm
         words = (
             f"the camera looks on the base obliquely by {pose.tilt_deg:.2f} deg: the picture's"
             f" corners lie up to {reach * slope:.2f} mm nearer or farther than its middle, which"
             f" displaces them by {reach**2 * slope / pose.height_mm:.2f} mm, and what stands"
-            f" {FINGER_DEPTH_MM:g} mm high leans by {FINGER_DEPTH_MM * slope:.2f} mm; straighten"
+            f" {_FINGER_DEPTH_MM:g} mm high leans by {_FINGER_DEPTH_MM * slope:.2f} mm; straighten"
             " the camera, or put something thin under the base."
         )
         findings.append(Finding("oblique-camera", words))
     heights = [single.height_mm for single in poses.values()]
     turns = [min(1.0, float(single.normal @ pose.normal)) for single in poses.values()]
     apart = float(np.degrees(np.arccos(turns)).max())
-    if max(heights) - min(heights) > POSES_HEIGHT * pose.height_mm or apart > POSES_TILT_DEG:
+    if max(heights) - min(heights) > 0.003 * pose.height_mm or apart > 0.3:
         each = ", ".join(
             f"{name} {p.height_mm:.2f} mm, {p.tilt_deg:.2f} deg" for name, p in poses.items()
         )

@@ -27,12 +27,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit import Camera, Led
 from splitknit.errors import require
 from splitknit.imaging.view import plane_points, shading_at
 from splitknit.model import Array
-from splitknit_rig.calibration.parameters import MAX_AIM_TILT, MIN_LOBE_EXPONENT
 
 UNIT_MM2 = 1e4
 """An LED of intensity one gives the irradiance one at 100 mm.
@@ -51,10 +51,6 @@ class CardPlane:
     tilt_deg: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        require(
-            abs(self.height_mm) <= 1000,
-            f"the card's height must be in mm, but it is {self.height_mm:g}.",
-        )
         require(
             max(abs(t) for t in self.tilt_deg) <= 10,
             f"the card's tilt is {self.tilt_deg} deg, more than 10.",
@@ -159,6 +155,9 @@ class Answer:
     lens: Array  # (2,)
 
 
+_MIN_LOBE_EXPONENT = 0.02  # of a beam: below it an aim has no meaning
+
+
 class CardModel:
     """Geometry of a card under `leds`, seen at `pixels`: everything that does not change while
     fitting."""
@@ -170,13 +169,14 @@ class CardModel:
         self.squared = _squared_radius(camera.image_size, pixels)
         names = sorted({led.band for led in leds})
         self.band = np.array([names.index(led.band) for led in leds])
-        self.frames = np.stack([_frame(led) for led in leds])  # (L, 3, 3): axis, across, across
+        self.frames = np.empty((self.count, 3, 3))  # axis, across, across
         self.known = np.empty((self.count, len(pixels)))
         # direction from the LED to the point, in its frame
         self.seen = np.empty((self.count, 3, len(pixels)))
         for k, led in enumerate(leds):
             towards, distance = rays_to_led(led, points)
             self.known[k] = np.log(UNIT_MM2 / np.pi * (towards @ card.normal) / distance**2)
+            self.frames[k] = _frame(led)
             self.seen[k] = -self.frames[k] @ towards.T
 
     def size(self, order: Order) -> int:
@@ -190,17 +190,17 @@ class CardModel:
         a, b, c, d = itertools.accumulate(sizes)
         return range(a), range(a, b), range(b, c), range(c, d)
 
+    def _beam_of(self, order: Order) -> NDArray[np.intp]:
+        """(L,) which of an order's beams, if it has any, is an LED's."""
+        return self.band if order.beam == "band" else np.arange(self.count)
+
     def vector(self, answer: Answer, order: Order) -> Array:
         """Parameters of `order` that come closest to `answer`; a beam that is aimed for the first
         time is not flat."""
-        exponent = np.maximum(answer.exponent, MIN_LOBE_EXPONENT if answer.tilt.any() else 1.0)
+        exponent = np.maximum(answer.exponent, _MIN_LOBE_EXPONENT if answer.tilt.any() else 1.0)
+        own, beams = self._beam_of(order), range(len(self._places(order)[2]))
         parts = [np.log(answer.brightness), answer.lens[: order.lens]]
-        if order.beam == "band":
-            parts.append(
-                np.array([exponent[self.band == b].mean() for b in range(self.band.max() + 1)])
-            )
-        elif order.beam == "led":
-            parts.append(exponent)
+        parts.append(np.array([exponent[own == b].mean() for b in beams]))
         if order.aims:
             parts.append((answer.tilt * exponent[:, None]).ravel())
         return np.concatenate(parts)
@@ -208,13 +208,7 @@ class CardModel:
     def answer(self, vector: Array, order: Order) -> Answer:
         """Parameters written out for every LED."""
         light, lens, beams, tilts = (vector[list(part)] for part in self._places(order))
-        exponent = (
-            np.zeros(self.count)
-            if order.beam == "none"
-            else beams[self.band]
-            if order.beam == "band"
-            else beams
-        )
+        exponent = beams[self._beam_of(order)] if len(beams) else np.zeros(self.count)
         tilt = tilts.reshape(-1, 2) / exponent[:, None] if order.aims else np.zeros((self.count, 2))
         return Answer(
             np.exp(light), exponent, tilt, np.concatenate([lens, np.zeros(2 - len(lens))])
@@ -225,7 +219,7 @@ class CardModel:
         _, lens, beams, _ = self._places(order)
         low, high = np.full((2, self.size(order)), [[-np.inf], [np.inf]])
         low[list(lens)], high[list(lens)] = -0.95, 0.95
-        low[list(beams)], high[list(beams)] = MIN_LOBE_EXPONENT, 200.0
+        low[list(beams)], high[list(beams)] = _MIN_LOBE_EXPONENT, 200.0
         return low, high
 
     def project(self, vector: Array, order: Order) -> Array:
@@ -234,14 +228,14 @@ class CardModel:
         moved = np.clip(vector, *self.bounds(order))
         if order.aims:
             _, _, beams, tilts = self._places(order)
-            needed = np.abs(moved[list(tilts)]).reshape(-1, 2).max(axis=1) / MAX_AIM_TILT
-            own = self.band if order.beam == "band" else np.arange(self.count)
-            np.maximum.at(moved, np.asarray(beams, dtype=np.intp)[own], needed)
+            # an aim is tilted from the direction to the origin by a tangent of 0.7 at most: 35 deg
+            needed = np.abs(moved[list(tilts)]).reshape(-1, 2).max(axis=1) / 0.7
+            np.maximum.at(moved, beams[0] + self._beam_of(order), needed)
         return np.asarray(moved)
 
     def logarithm(self, answer: Answer) -> Array:
         """Model (L, N): ln of the brightness."""
-        return np.asarray(
+        return (
             np.log(answer.brightness)[:, None]
             + self.known
             + answer.exponent[:, None] * self._log_cosine(answer)
@@ -253,7 +247,7 @@ class CardModel:
         jacobian = np.zeros((*self.known.shape, self.size(order)))
         light, lens, beams, tilts = self._places(order)
         fall_off = self._fall_off(answer.lens)
-        log_cosine = self._log_cosine(answer)
+        log_cosine, own = self._log_cosine(answer), self._beam_of(order)
         for k, by_parameter in enumerate(jacobian):
             by_parameter[:, light[k]] = 1.0
             for power, place in enumerate(lens):
@@ -264,8 +258,8 @@ class CardModel:
             along = np.maximum(self.seen[k, 0] + u * self.seen[k, 1] + v * self.seen[k, 2], 1e-6)
             by_u = self.seen[k, 1] / along - u / (1 + u * u + v * v)
             by_v = self.seen[k, 2] / along - v / (1 + u * u + v * v)
-            own = beams[int(self.band[k]) if order.beam == "band" else k]
-            by_parameter[:, own] = log_cosine[k] - u * by_u - v * by_v  # at constant n u and n v
+            # at constant n u and n v
+            by_parameter[:, beams[own[k]]] = log_cosine[k] - u * by_u - v * by_v
             if tilts:
                 by_parameter[:, tilts[2 * k]] = by_u
                 by_parameter[:, tilts[2 * k + 1]] = by_v
@@ -274,14 +268,8 @@ class CardModel:
     def exponents(self, values: Array, order: Order) -> Array:
         """(L,) what a vector of parameters (or of their errors) implies for each LED's exponent;
         NaN where nothing."""
-        own = values[list(self._places(order)[2])]
-        return (
-            np.full(self.count, np.nan)
-            if order.beam == "none"
-            else own[self.band]
-            if order.beam == "band"
-            else own
-        )
+        beams = values[list(self._places(order)[2])]
+        return beams[self._beam_of(order)] if len(beams) else np.full(self.count, np.nan)
 
     def prior(self, order: Order) -> tuple[Array, Array]:
         """Middle and inverse width of the prior of every parameter: exponents 5 +- 20, slopes 0 +-
@@ -308,10 +296,6 @@ class CardModel:
 
 def _frame(led: Led) -> Array:
     """Rows: direction from the LED to the origin, and two unit vectors across it."""
-    require(
-        led.position_mm is not None,
-        "a flat field needs LEDs with position_mm; this rig has distant ones.",
-    )
     axis = -np.asarray(led.position_mm, dtype=np.float64)
     axis /= np.linalg.norm(axis)
     first = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])

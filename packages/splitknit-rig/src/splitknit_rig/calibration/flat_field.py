@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 
 from splitknit import Camera, Led
 from splitknit.errors import require
+from splitknit.imaging.robust import cauchy, deviation
 from splitknit.model import Array, BoolArray
 from splitknit_rig.calibration.card_model import (
     LADDER,
@@ -27,17 +28,6 @@ from splitknit_rig.calibration.card_model import (
     CardPlane,
     Order,
     rays_to_led,
-)
-from splitknit_rig.calibration.parameters import (
-    DUST_PERCENT,
-    ENOUGH_FRACTION,
-    ENOUGH_PERCENT,
-    FIT_STAGES,
-    GLOSS_WIDTHS_DEG,
-    MAX_DUST,
-    MAX_EMPTY,
-    MIN_FIELD,
-    ROBUST_PERCENT,
 )
 
 # Robust least squares for the model of a white card, by scipy with weights of the card's places.
@@ -72,15 +62,15 @@ def _fit_order(
         rows = model.jacobian(model.answer(vector, order), order) * root[:, None]
         return np.concatenate([rows.reshape(-1, len(vector)), np.diag(inverse)])
 
-    for _ in range(FIT_STAGES):
+    for _ in range(10):  # each with new weights of the card's places
         root = np.sqrt(weight) / scale
         fitted = least_squares(
             residuals, vector, slopes, model.bounds(order), args=(root,), ftol=1e-7
         )
         vector = model.project(fitted.x, order)
         common = np.median(logarithm - model.logarithm(model.answer(vector, order)), axis=0)
-        width = max(scale, 3.0 * 1.4826 * float(np.median(np.abs(common))))
-        last, weight = weight, 1.0 / (1.0 + (common / width) ** 2)
+        width = max(scale, 3.0 * deviation(common))
+        last, weight = weight, cauchy(common, width)
         if float(np.abs(weight - last).max()) < 0.01:
             break
     jacobian = slopes(vector, root)
@@ -116,7 +106,8 @@ def _card_gloss(
     inverse, slope = np.linalg.pinv(rows.T @ rows, rcond=1e-12), rows.T @ left
     noise = float(np.sqrt(np.mean(left**2)))
     gloss = (0.0, np.inf)
-    for width in GLOSS_WIDTHS_DEG:
+    # the spot's widths in deg between the card's normal and the half vector (standard deviations)
+    for width in (3.0, 6.0):
         spot = np.exp(-0.5 * (half_angles_deg[used] / width) ** 2)
         shared, whole = rows.T @ spot, float(spot @ spot)
         own = whole - float(shared @ inverse @ shared)
@@ -156,6 +147,10 @@ class FlatField:
     largest_percent: Array  # (L,) largest residual of each LED without dust
 
 
+DUST_PERCENT = 2.0
+"""A cell that departs further under all LEDs is dust and left out of the residuals."""
+
+
 def fit_flat_field(
     camera: Camera, leds: Sequence[Led], pixels: Any, light: Any, card: CardPlane | None = None
 ) -> FlatField:
@@ -192,7 +187,7 @@ def fit_flat_field(
             f"LED {k} ({led.band}) shows the card at {100 * level[k] / usual:.0f} % of the"
             " brightness of its band: it did not light; check its wire and take the card again.",
         )
-    scale = 0.01 * ROBUST_PERCENT
+    scale = 0.005  # places with larger residuals count less and less: dust
     fits: list[_CardFit] = []
     for order in LADDER:
         fits.append(_fit_order(model, start, order, logarithm, scale))
@@ -205,7 +200,8 @@ def fit_flat_field(
         not dust.all(), "the card is not uniform: no part of the picture looks like an even card."
     )
     rms = [100 * float(np.sqrt(np.mean(residual[:, ~dust] ** 2))) for residual in residuals]
-    enough = max(float(np.hypot(min(rms), ENOUGH_PERCENT)), (1 + ENOUGH_FRACTION) * min(rms))
+    # the simplest model is taken that is as good as the best one but for 0.05 % or a twentieth
+    enough = max(float(np.hypot(min(rms), 0.05)), 1.05 * min(rms))
     best = next(k for k, value in enumerate(rms) if value <= enough)
     fit = fits[best]
     rest = np.where(dust, np.nan, residuals[-1])
@@ -237,13 +233,16 @@ def fit_flat_field(
     )
 
 
+MAX_DUST = 0.05  # fraction of the cells; beyond it the card is not uniform
+
+
 def _check_field(ratio: Array) -> None:
     """Refuse a card that ends inside the picture: cells that are far darker than the rest under
     most LEDs."""
     usual = np.median(ratio, axis=0)
-    fraction = float((usual < MIN_FIELD).mean())
+    fraction = float((usual < 0.3).mean())  # so dark a cell does not show the card
     require(
-        fraction <= MAX_EMPTY,
+        fraction <= 0.005,
         f"the card does not fill the field: {100 * fraction:.0f} % of the picture is far darker"
         " than the rest; take a larger card, or move it until it reaches over all borders.",
     )

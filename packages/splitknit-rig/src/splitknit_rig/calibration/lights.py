@@ -30,7 +30,6 @@ from splitknit.errors import refusing, require
 from splitknit.imaging.view import plane_points
 from splitknit.io.csv_table import csv_text
 from splitknit.model import Array
-from splitknit_rig.calibration.parameters import MIN_TIP_MM
 
 BANDS = ("white", "nir")
 LEDS_PER_BAND = 7
@@ -86,7 +85,7 @@ def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
         for line in text.lstrip("\ufeff").splitlines()
         if line.strip(" \t,") and line.lstrip()[0] != "#"
     ]
-    require(bool(lines), f"{name} is empty; its first line must be {','.join(COLUMNS)}.")
+    require(lines, f"{name} is empty; its first line must be {','.join(COLUMNS)}.")
     # such as a line of a hundred thousand characters without a comma
     with refusing(f"{name} is not a table in CSV."):
         header, *rows = ([cell.strip() for cell in row] for row in csv.reader(lines))
@@ -107,7 +106,7 @@ def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
         )
         tips[key] = tip
     require(
-        bool(tips),
+        tips,
         f"{name} has no rows below its first line; add one for every LED and nail position.",
     )
     return tuple(sorted(tips.values(), key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail)))
@@ -185,7 +184,7 @@ class Circle:
             1.0 <= self.height_mm <= 1e4,
             f"the LEDs' height must be 0.1 to 1000 cm, not {self.height_mm / 10}.",
         )
-        require(bool(np.isfinite(self.centre_mm).all()), "the LED circle's centre must be finite.")
+        require(np.isfinite(self.centre_mm).all(), "the LED circle's centre must be finite.")
 
     @property
     def foot_mm(self) -> Array:
@@ -277,7 +276,7 @@ def _check_shadows(tips: Sequence[Tip], nails: Array, ends: Array, circle: Circl
     shadow = np.linalg.norm(nails - ends, axis=1)
     for k, tip in enumerate(tips):
         require(
-            shadow[k] >= MIN_TIP_MM,
+            shadow[k] >= 0.2,  # mm
             f"{tip.name}: there is no shadow, for its tip lies {shadow[k]:.2f} mm from the nail;"
             " correct the row, or photograph a longer nail.",
         )

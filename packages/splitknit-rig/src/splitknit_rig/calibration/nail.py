@@ -32,6 +32,7 @@ from scipy.stats import chi2
 
 from splitknit import Camera
 from splitknit.errors import require
+from splitknit.imaging.robust import cauchy
 from splitknit.imaging.view import pixels_of, plane_points
 from splitknit.model import Array
 from splitknit_rig.calibration.lights import (
@@ -42,16 +43,6 @@ from splitknit_rig.calibration.lights import (
     combine,
     nail_points,
     pixels,
-)
-from splitknit_rig.calibration.parameters import (
-    CIRCLE_SD_MM,
-    FREE_SD_MM,
-    LED_SD_MM,
-    MAX_NAIL_HEIGHT,
-    NAIL_HEIGHT_SD_MM,
-    STRAY_LED_MM,
-    STRAY_TIP,
-    TIP_SD_PX,
 )
 
 
@@ -65,10 +56,10 @@ class Nail:
     """Standard deviation of its position on the finger plane, along each axis, shared by one
     position's rows."""
 
-    def __post_init__(self) -> None:
-        height = self.height_mm
-        words = f"the nail's height must lie between 0.5 and 500 mm, but it is {height}."
-        require(height is None or 0.5 <= height <= 500, words)
+
+_FREE_SD_MM = 30.0
+"""Standard deviation of LEDs and circle where the nail's height is known."""
+_TIP_SD_PX = 1.0  # of a shadow tip, along each axis
 
 
 class _NailModel:
@@ -86,10 +77,11 @@ class _NailModel:
         self.known = nail.height_mm is not None
         self.at_height = 3 * len(self.names) + 2 * len(self.places_px)
         """Where in the vector the nail's height is."""
-        self.led_sd = FREE_SD_MM if self.known else LED_SD_MM
-        self.offset_sd = FREE_SD_MM if self.known else CIRCLE_SD_MM
+        # standard deviation in mm of each LED off the circle, and of the circle off the drawing
+        self.circle_sd = _FREE_SD_MM if self.known else 1.0
         self.nail_sd_px = nail.sd_mm * camera.px_per_mm
-        self.top = MAX_NAIL_HEIGHT * min(circle.height_mm, camera.height_mm)
+        # a nail is taken to be lower than 0.6 of the LEDs' height
+        self.top = 0.6 * min(circle.height_mm, camera.height_mm)
 
     def parts(self, x: Array) -> tuple[Array, Array, float, Array]:
         """LEDs (L, 3), nail places (P, 2), nail height, and the circle's four offsets."""
@@ -111,13 +103,14 @@ class _NailModel:
         """All residuals in standard deviations; `weights` (N,) are the tips'."""
         circle = self.circle
         leds, places, height, offsets = self.parts(x)
-        tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / TIP_SD_PX
+        tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / _TIP_SD_PX
         nail = (self._pixels(places, height) - self.places_px) / self.nail_sd_px
         arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
-        out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self.led_sd
-        up = (leds[:, 2] - circle.height_mm - offsets[3]) / self.led_sd
-        known = [(height - (self.nail.height_mm or 0.0)) / NAIL_HEIGHT_SD_MM] if self.known else []
-        return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self.offset_sd, known])
+        out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self.circle_sd
+        up = (leds[:, 2] - circle.height_mm - offsets[3]) / self.circle_sd
+        # a known height has a standard deviation of 1 mm
+        known = [height - (self.nail.height_mm or 0.0)] if self.known else []
+        return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self.circle_sd, known])
 
     def _pixels(self, places: Array, height: float) -> Array:
         return pixels_of(self.camera, np.column_stack([places, np.full(len(places), height)]))
@@ -173,6 +166,10 @@ def by_joint_fit(
     return _result(model, _solve(model))
 
 
+_STRAY_TIP = 4.0
+"""A tip so many standard deviations from its place is named, and has lost most of its weight."""
+
+
 def _solve(model: _NailModel) -> OptimizeResult:
     first, height = by_circle(
         model.tips, model.camera, model.circle, known_height_mm=model.nail.height_mm
@@ -188,18 +185,21 @@ def _solve(model: _NailModel) -> OptimizeResult:
     for sharpness in (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, *(1.0,) * 10):
         fit = least_squares(model.residuals, x, method="lm", xtol=1e-7, args=(weights,))
         before, x = x, fit.x
-        distance = np.linalg.norm(model.tip_residuals(x), axis=1) / TIP_SD_PX
-        weights = 1.0 / (1.0 + (distance / (STRAY_TIP * sharpness)) ** 2) ** 2
+        distance = np.linalg.norm(model.tip_residuals(x), axis=1) / _TIP_SD_PX
+        weights = cauchy(distance, _STRAY_TIP * sharpness) ** 2
         if sharpness == 1.0 and float(np.abs(x - before).max()) < 1e-5:
             break
     return fit
+
+
+STRAY_LED_MM = 10.0  # off the fitted circle
 
 
 def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
     circle = model.circle
     leds, places, height, offsets = model.parts(fit.x)
     residual_px = model.tip_residuals(fit.x)
-    astray = np.linalg.norm(residual_px, axis=1) > STRAY_TIP * TIP_SD_PX
+    astray = np.linalg.norm(residual_px, axis=1) > _STRAY_TIP * _TIP_SD_PX
     freedom = max(fit.fun.size - fit.x.size, 1)
     # where the residuals exceed their stated deviation
     wider = max(1.0, 2.0 * float(fit.cost) / freedom)

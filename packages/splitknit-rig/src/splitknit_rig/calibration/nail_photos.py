@@ -14,18 +14,17 @@ import numpy as np
 from splitknit import Camera
 from splitknit.errors import require
 from splitknit.files import read_bytes
-from splitknit.imaging.band import linear_image
 from splitknit.io.atomic import write_file
-from splitknit.io.images import decode_image, write_image
-from splitknit.io.parameters import MAX_BYTES
+from splitknit.io.images import MAX_BYTES, decode_image, write_image
 from splitknit.io.photograph_files import natural_order
 from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
-from splitknit.io.targets import check_file, check_picture
+from splitknit.io.targets import check_file
 from splitknit.model import Array, FloatArray, Progress, no_progress
+from splitknit.observation.stored import linear_image
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, led_of_file, write_tips
-from splitknit_rig.calibration.parameters import NAIL_TILE_PX
 from splitknit_rig.calibration.shadow import NailView, find_nail
+from splitknit_rig.calibration.written import check_picture
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 Files = dict[tuple[int, str], list[Path]]
@@ -87,7 +86,7 @@ def tips_of_photos(
     if table is not None:
         write_file(table, write_tips(tips).encode("ascii"))
     require(
-        bool(tips),
+        tips,
         f"{folder}: all shadows leave the picture; use a shorter nail or move it to the middle.",
     )
     return tips, hashes, lost
@@ -110,7 +109,7 @@ def _nail_files(folder: Path) -> Files:
     for nail, place in enumerate(places, start=1):
         bands = _bands(place)
         require(
-            bool(bands),
+            bands,
             f"{place} holds no photographs of the nail; they are named white_0.png to white_6.png"
             " and nir_0.png to nir_6.png, in a subfolder for each position of the nail.",
         )
@@ -149,12 +148,18 @@ def _read(
     path: Path, size: tuple[int, int], encoding: str, *, upright: bool
 ) -> tuple[FloatArray, str]:
     data = read_bytes(path, MAX_BYTES)
-    pixels = decode_photo(data, str(path)).pixels if upright else decode_image(data, str(path))
-    require(
-        pixels.shape[:2] == size,
-        f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the rig's"
-        f" camera has {size[0]} x {size[1]}; give the rig or `image_size` that belongs to the"
-        " photographs.",
+
+    def check(rows: int, columns: int) -> None:
+        require(
+            (rows, columns) == size,
+            f"{path} has {rows} x {columns} pixels (rows x columns), but the rig's camera has"
+            f" {size[0]} x {size[1]}; give the rig or `image_size` that belongs to the"
+            " photographs.",
+        )
+
+    name = str(path)
+    pixels = (
+        decode_photo(data, name, check).pixels if upright else decode_image(data, name, check=check)
     )
     require(pixels.dtype.kind == "u", f"{path} holds floats; save it as 16-bit PNG or TIFF.")
     image = np.asarray(linear_image(pixels, encoding).mean(axis=2), dtype=np.float32)
@@ -194,11 +199,14 @@ def _nail_overview(tiles: Sequence[_Tile], image_size: tuple[int, int]) -> Colou
     )
 
 
+_NAIL_TILE_PX = 400  # width of one photograph
+
+
 def _nail_tile(tile: _Tile, image_size: tuple[int, int]) -> ColourArray:
     name, image, view, led = tile
-    scale = NAIL_TILE_PX / image_size[1]
+    scale = _NAIL_TILE_PX / image_size[1]
     grey = cv2.resize(
-        image, (NAIL_TILE_PX, max(1, round(image_size[0] * scale))), interpolation=cv2.INTER_AREA
+        image, (_NAIL_TILE_PX, max(1, round(image_size[0] * scale))), interpolation=cv2.INTER_AREA
     )
     top = max(float(np.percentile(grey, 99.5)), 1e-6)
     shade = np.rint(255.0 * np.clip(grey / top, 0, 1) ** (1 / 2.2)).astype(np.uint8)

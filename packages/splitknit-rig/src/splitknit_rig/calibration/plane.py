@@ -70,7 +70,7 @@ def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) 
     )
     spread = np.linalg.svd(marks - marks.mean(axis=0), compute_uv=False)
     require(
-        bool(spread[1] > 0.02 * spread[0]),
+        spread[1] > 0.02 * spread[0],
         "the marks of the plane lie on one line; show more of them.",
     )
     camera = np.asarray(matrix, dtype=np.float64)

@@ -18,28 +18,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from splitknit import Band, Capture, read_capture, write_rig
+from splitknit import Capture, read_capture, write_rig
 from splitknit.errors import naming, require
 from splitknit.findings import Finding
-from splitknit.imaging.band import GREY_WEIGHTS, block_means, linear_channels, pick_channel
-from splitknit.imaging.polarised import crossed_place, undone
+from splitknit.imaging.pixels import GREY_WEIGHTS, block_means, pick_channel
+from splitknit.imaging.robust import deviation
 from splitknit.io.capture import with_rig
 from splitknit.io.images import write_image
 from splitknit.io.provenance import plain_json, provenance
-from splitknit.io.targets import check_picture, check_rig_file
 from splitknit.model import Array, BoolArray, Films, FloatArray, Progress, no_progress
-from splitknit_rig.calibration.parameters import (
-    FILM_CELLS,
-    FULL_SCALE,
-    LEAK_ERROR,
-    LED_STEADINESS,
-    MATT_PERCENT,
-    MAX_LEAK,
-    MIN_LIKENESS,
-    NEIGHBOUR_MM,
-    SHIFT_LEVELS_PX,
-)
-from splitknit_rig.calibration.radiometry_folder import residual_tile, rounded
+from splitknit.observation.films import crossed_place, undone
+from splitknit.observation.light import Light
+from splitknit_rig.calibration.radiometry import rounded
+from splitknit_rig.calibration.radiometry_folder import residual_tile
+from splitknit_rig.calibration.written import check_picture, check_rig_file
+
+_LEAK_ERROR = 2.5e-4
+"""Half of the largest error of what is left of the specular light. Chosen on: simulated objects
+(rigs with films)."""
 
 
 def films_to_file(
@@ -74,7 +70,7 @@ def films_to_file(
     light = naming(folder / "ball", lambda: measure_ball(ball, films))
     both = light[:, 0, 0] + light[:, 1, 0]
     leak = light[:, 1, 0] / both
-    error = np.hypot(np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both, LEAK_ERROR)
+    error = np.hypot(np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both, _LEAK_ERROR)
     facts["leak_interval"] = [
         [rounded(max(a - 2 * b, 0.0)), rounded(a + 2 * b)] for a, b in zip(leak, error, strict=True)
     ]
@@ -85,7 +81,7 @@ def films_to_file(
             " turn its film or the analyser.",
         )
         for k, part in enumerate(leak)
-        if part > MAX_LEAK
+        if part > 0.05
     ]
     facts["findings"] += [finding.facts for finding in leaking]
     films = replace(films, leak=tuple(rounded(float(part)) for part in np.clip(leak, 0.0, 0.499)))
@@ -111,24 +107,20 @@ def films_to_file(
     return {**facts, "films": plain_json(asdict(films)), "out": str(out), "files": files}
 
 
-def _image(band: Band, k: int, encoding: str) -> FloatArray:
+def _series(capture: Capture) -> tuple[Light, Light]:
+    """Light of the parallel and the crossed series, as it came through the films."""
+    near, far = (capture.bands[name] for name in ("white", "white_crossed"))
+    return Light(near, capture.rig, capture.encoding), Light(far, capture.rig, capture.encoding)
+
+
+def _image(light: Light, k: int) -> FloatArray:
     """(h, w, 3) linear light of one image."""
-    parts = {
-        name: getattr(band, name)[k : k + 1]
-        for name in ("pixels", "leds", "exposure", "black_level")
-    }
-    channels = linear_channels(replace(band, **parts), encoding, ("red", "green", "blue"))[:, 0]
-    return np.ascontiguousarray(np.moveaxis(channels, 0, 2))
+    return np.ascontiguousarray(np.moveaxis(light.of_images([k]).stack[:, 0], 0, 2))
 
 
-def _grey(band: Band, k: int, encoding: str) -> FloatArray:
+def _grey(light: Light, k: int) -> FloatArray:
     """(h, w) the same in grey."""
-    return pick_channel(_image(band, k, encoding), "grey")
-
-
-def _clipped(band: Band, k: int) -> BoolArray:
-    top = FULL_SCALE * float(np.iinfo(band.pixels.dtype).max)
-    return np.asarray((band.pixels[k] >= top).any(axis=-1))
+    return np.asarray(light.of_images([k]).grey[0])
 
 
 # The card: where the crossed image lies, and its brightness.
@@ -139,20 +131,20 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
     and L arrays (h, w) of what is left of crossed over parallel, NaN in the dark. BadInput if the
     card has no print, is clipped, or moved.
     """
-    near, far = card.bands["white"], card.bands["white_crossed"]
-    some = (0, len(near.leds) // 2)
-    grey = [sum(_grey(band, k, card.encoding) for k in some) for band in (near, far)]
+    near, far = _series(card)
+    some = (0, near.photographs // 2)
+    grey = [sum(_grey(band, k) for k in some) for band in (near, far)]
     films, deviation = _shift(*grey)  # type: ignore[arg-type]
     inner = np.zeros(card.shape, dtype=np.float32)
     margin = 4 + int(np.hypot(*films.shift_px))
     inner[margin:-margin, margin:-margin] = 1.0
-    side = max(4, max(card.shape) // FILM_CELLS)
+    side = max(4, max(card.shape) // 60)  # 60 cells along the longer side
     cells = (card.shape[0] // side, card.shape[1] // side)
     brightness = []
     residuals = []
-    for k in range(len(near.leds)):
-        good = inner * ~(_clipped(near, k) | _clipped(far, k))
-        parts = (good, _image(near, k, card.encoding), undone(_image(far, k, card.encoding), films))
+    for k in range(near.photographs):
+        good = inner * ~(near.of_images([k]).clipped[0] | far.of_images([k]).clipped[0])
+        parts = (good, _image(near, k), undone(_image(far, k), films))
         whole, p, c = (block_means(part, cells, side) for part in parts)
         bright = pick_channel(p, "grey")
         used = (whole > 0.999) & (bright > max(0.4 * float(np.percentile(bright, 95)), 0.0))
@@ -190,12 +182,12 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
                 " one of other brightness; use a matt card.",
             ).facts
             for k, departure in enumerate(rms)
-            if departure > MATT_PERCENT and near.leds[k] == far.leds[k]
+            if departure > 1.0 and near.lights[k] == far.lights[k]
         ],
     }
     rows = tuple(tuple(map(rounded, row.tolist())) for row in brightness)
     return (
-        replace(films, leds=tuple(group[0] for group in near.leds), brightness=rows),
+        replace(films, leds=tuple(group[0] for group in near.lights), brightness=rows),
         facts,
         residuals,
     )
@@ -206,7 +198,7 @@ def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
     deviations (3,)."""
     crossed = crossed * np.float32(parallel.mean() / max(float(crossed.mean()), 1e-9))
     films = Films((), (), ())
-    for sigma in SHIFT_LEVELS_PX:
+    for sigma in (8.0, 4.0, 2.0):  # px, coarse to fine
         blurs = (sigma, 4.0 * sigma)  # what is finer than the second and coarser than the first
         fixed, moving = (
             np.subtract(
@@ -245,8 +237,9 @@ def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
         likeness = (
             float(np.corrcoef(seen, here)[0, 1]) if float(seen.std() * here.std()) > 0 else 0.0
         )
+    # a card without print has no details that correlate
     require(
-        likeness >= MIN_LIKENESS,
+        likeness >= 0.5,
         "the parallel and the crossed image of the card show no common details; photograph a matt"
         " card with print on it, such as the board of 'splitknit rig target', and leave it in place"
         " while the analyser is turned.",
@@ -286,23 +279,22 @@ def measure_ball(ball: Capture, films: Films) -> Array:
     """(L, 2, 2) light of the parallel and crossed highlights of L lights in a glossy black ball,
     and its deviation. BadInput if a highlight is missing or clipped, or series are swapped.
     """
-    near, far = ball.bands["white"], ball.bands["white_crossed"]
+    near, far = _series(ball)
     matrix = crossed_place(films, ball.shape)
     light = []
-    for k, (led, crossed_led) in enumerate(zip(near.leds, far.leds, strict=True)):
-        grey = cv2.GaussianBlur(_grey(near, k, ball.encoding), (0, 0), 1.0)
+    for k, (led, crossed_led) in enumerate(zip(near.lights, far.lights, strict=True)):
+        grey = cv2.GaussianBlur(_grey(near, k), (0, 0), 1.0)
         spot = _spot(grey, k)
         column, row = matrix @ (spot.column, spot.row, 1.0)
         place = Spot(round(float(column)), round(float(row)), spot.radius_px)
         if led != crossed_led:  # films at right angles on LEDs beside each other
-            grey = cv2.GaussianBlur(_grey(far, k, ball.encoding), (0, 0), 1.0)
-            around = replace(place, radius_px=NEIGHBOUR_MM * ball.rig.camera.px_per_mm).disc(
-                grey.shape
-            )
+            grey = cv2.GaussianBlur(_grey(far, k), (0, 0), 1.0)
+            # LEDs beside each other are mirrored on the ball within 1 mm
+            around = replace(place, radius_px=ball.rig.camera.px_per_mm).disc(grey.shape)
             at = np.unravel_index(int(np.argmax(np.where(around, grey, -np.inf))), grey.shape)
             place = Spot(int(at[1]), int(at[0]), spot.radius_px)
-        crossed = _flux(far, k, ball.encoding, place) / (films.brightness[k] @ GREY_WEIGHTS)
-        light.append((_flux(near, k, ball.encoding, spot), crossed))
+        crossed = _flux(far, k, place) / (films.brightness[k] @ GREY_WEIGHTS)
+        light.append((_flux(near, k, spot), crossed))
     values = np.array(light)
     require(
         float(np.median(values[:, 1, 0] / values[:, 0, 0])) < 1.0,
@@ -318,7 +310,7 @@ def _spot(grey: NDArray[Any], k: int) -> Spot:
     peak = float(grey[row, column]) - beside
     _, labels = cv2.connectedComponents((grey > beside + 0.5 * peak).astype(np.uint8))
     area = float((labels == labels[row, column]).sum())
-    noise = 1.4826 * float(np.median(np.abs(grey - beside)))
+    noise = deviation(grey - beside)
     require(
         peak > max(10.0 * noise, 3.0 * beside) and area < 0.01 * grey.size,
         f"image {k}: no highlight stands out; photograph a glossy black ball or a sheet of glass"
@@ -327,18 +319,19 @@ def _spot(grey: NDArray[Any], k: int) -> Spot:
     return Spot(int(column), int(row), 3.0 * float(np.sqrt(area / np.pi)) + 5.0)
 
 
-def _flux(band: Band, k: int, encoding: str, spot: Spot) -> Array:
+def _flux(light: Light, k: int, spot: Spot) -> Array:
     """(2,) grey light of a highlight above what surrounds it, and its deviation."""
-    grey = _grey(band, k, encoding).astype(np.float64)
+    grey = _grey(light, k).astype(np.float64)
     disc = spot.disc(grey.shape)
     require(
-        not (_clipped(band, k) & disc).any(),
-        f"image {k} of the band '{band.name}': the highlight is clipped; photograph the ball with a"
-        " shorter exposure.",
+        not (light.of_images([k]).clipped[0] & disc).any(),
+        f"image {k} of the band '{light.name}': the highlight is clipped; photograph the ball with"
+        " a shorter exposure.",
     )
     ring = grey[spot.disc(grey.shape, 1.8) & ~spot.disc(grey.shape, 1.1)]
     beside = float(np.median(ring))
-    spread = 1.4826 * float(np.median(np.abs(ring - beside)))
-    light = float((grey[disc] - beside).sum())
+    spread = deviation(ring - beside)
+    flux = float((grey[disc] - beside).sum())
     pixels = disc.sum() * (1.0 + 1.57 * disc.sum() / max(ring.size, 1))
-    return np.array([light, np.sqrt(spread**2 * pixels + (LED_STEADINESS * light) ** 2)])
+    # an LED's light varies by 0.4 % from one photograph to the next, with its shot noise
+    return np.array([flux, np.sqrt(spread**2 * pixels + (0.004 * flux) ** 2)])

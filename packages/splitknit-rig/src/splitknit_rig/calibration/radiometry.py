@@ -17,41 +17,30 @@ from splitknit import Band, Capture, Rig
 from splitknit.arguments import text_of
 from splitknit.errors import refusing, require
 from splitknit.findings import Finding, Severity, worst_first
-from splitknit.imaging.band import linear_image, linear_stack, pick_channel
 from splitknit.model import Array
+from splitknit.observation.light import FULL_SCALE, Light
 from splitknit_rig.calibration.card_model import CardPlane, card_light
-from splitknit_rig.calibration.flat_field import FlatField, fit_flat_field
+from splitknit_rig.calibration.flat_field import DUST_PERCENT, MAX_DUST, FlatField, fit_flat_field
 from splitknit_rig.calibration.lights import led_name
-from splitknit_rig.calibration.parameters import (
-    AMBIENT_PERCENT,
-    CARD_CELLS,
-    CELL_BLOCKS,
-    DRIFT_PERCENT,
-    DUST_PERCENT,
-    FULL_SCALE,
-    GLOSS_PERCENT,
-    MAX_CLIPPED_PERCENT,
-    MAX_DUST,
-    MAX_RESIDUAL_PERCENT,
-    MIN_CARD_LIGHT,
-    PATTERN_PERCENT,
-)
 from splitknit_rig.calibration.words import radiometry_lines
 
+_CARD_CELLS = 40  # along the longer side of the white card's image
+_CELL_BLOCKS = 5  # a side of a cell, whose brightness is the median of their means
 
-def _cells_of(band: Band, encoding: str) -> tuple[Array, Array]:
-    """Middles of the cells, (rows, columns, 2) columns and rows, and a band's linear grey light (L,
-    rows, columns) in them: black level and ambient light removed, the lens's fall-off left in.
+
+def _cells_of(light: Light) -> tuple[Array, Array]:
+    """Middles of the cells, (rows, columns, 2) columns and rows, and the median of linear grey
+    light (L, rows, columns) in them.
     """
-    size = band.pixels.shape[1:3]
+    size = light.shape
     require(
-        min(size) >= 16 and max(size) >= CARD_CELLS,
+        min(size) >= 16 and max(size) >= _CARD_CELLS,
         f"the images have {size[0]} x {size[1]} pixels, too few for a calibration; use at least"
-        f" {CARD_CELLS}.",
+        f" {_CARD_CELLS}.",
     )
-    binning = max(1, round(max(size) / (CARD_CELLS * CELL_BLOCKS)))
-    stack = linear_stack(band, encoding, "grey", binning=binning)
-    inner = min(CELL_BLOCKS, max(1, max(size) // (binning * CARD_CELLS)))
+    binning = max(1, round(max(size) / (_CARD_CELLS * _CELL_BLOCKS)))
+    stack = light.at(binning).grey
+    inner = min(_CELL_BLOCKS, max(1, max(size) // (binning * _CARD_CELLS)))
     # what fills no cell is dropped
     rows, columns = stack.shape[1] // inner, stack.shape[2] // inner
     cells = (
@@ -59,10 +48,10 @@ def _cells_of(band: Band, encoding: str) -> tuple[Array, Array]:
         .reshape(-1, rows, inner, columns, inner)
         .swapaxes(2, 3)
     )
-    light = np.median(cells.reshape(-1, rows, columns, inner * inner), axis=-1).astype(np.float64)
+    medians = np.median(cells.reshape(-1, rows, columns, inner * inner), axis=-1)
     side = binning * inner
     row, column = np.mgrid[:rows, :columns] * side + (side - 1) / 2
-    return np.stack([column, row], axis=-1), light
+    return np.stack([column, row], axis=-1), medians.astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +80,10 @@ def card_images(capture: Capture, rig: Rig) -> CardImages:
     for band in bands:
         for k in range(len(band.pixels)):
             _check_image(band, k, rig)
-    cells = [_cells_of(replace(band, shading=()), capture.encoding) for band in bands]
+    # the lens's fall-off, which is to be measured, stays in the light
+    bare = replace(capture.rig, camera=replace(capture.rig.camera, shading=()))
+    lights = [Light(band, bare, capture.encoding) for band in bands]
+    cells = [_cells_of(light) for light in lights]
     places = cells[0][0]
     stored = [
         [
@@ -105,8 +97,8 @@ def card_images(capture: Capture, rig: Rig) -> CardImages:
         light=np.stack([cells[b][1][k].ravel() for b, k in order]),
         shape=(places.shape[0], places.shape[1]),
         ambient_percent={
-            band.name: _ambient_percent(band, capture.encoding, light)
-            for band, (_, light) in zip(bands, cells, strict=True)
+            light.name: _ambient_percent(light, lit)
+            for light, (_, lit) in zip(lights, cells, strict=True)
         },
         exposures_given=any(bool((band.exposure != 1.0).any()) for band in bands),
         brightest=np.array([stored[b][k] for b, k in order]),
@@ -158,31 +150,30 @@ def _images_of_leds(bands: Sequence[Band], rig: Rig) -> list[tuple[int, int]]:
     return [images[k] for k in range(len(rig.leds))]
 
 
+_MAX_CLIPPED_PERCENT = 0.5  # of an image's pixels
+
+
 def _check_image(band: Band, k: int, rig: Rig) -> None:
     name = band.files[k] if band.files else f"image {k} of the band '{band.name}'"
     pixels, full = band.pixels[k], float(np.iinfo(band.pixels.dtype).max)
     clipped = 100 * float((pixels.max(axis=2) >= FULL_SCALE * full).mean())
     require(
-        clipped <= MAX_CLIPPED_PERCENT,
+        clipped <= _MAX_CLIPPED_PERCENT,
         f"{name} is clipped: {clipped:.1f} % of its pixels are at full scale (at most"
-        f" {MAX_CLIPPED_PERCENT:g} % may be); take the card with a shorter exposure.",
+        f" {_MAX_CLIPPED_PERCENT:g} % may be); take the card with a shorter exposure.",
     )
     middle = (float(np.median(pixels[::4, ::4])) - float(band.black_level[k])) / full
     led = band.leds[k][0]
     require(
-        middle > MIN_CARD_LIGHT,
+        middle > 0.02,  # of full scale: black
         f"{name} is black ({100 * middle:.1f} % of full scale): LED {led}"
         f" ({led_name(rig.leds, led)}) did not light, or the exposure is far too short.",
     )
 
 
-def _ambient_percent(band: Band, encoding: str, light: Array) -> float | None:
-    if band.ambient is None:
-        return None
-    image = linear_image(
-        band.ambient, encoding, band.ambient_exposure, band.ambient_black_level, binning=2
-    )
-    return _round(100 * float(np.mean(pick_channel(image, "grey"))) / float(np.mean(light)))
+def _ambient_percent(light: Light, lit: Array) -> float | None:
+    dark = light.at(2).ambient
+    return None if dark is None else rounded(100 * float(np.mean(dark)) / np.mean(lit))
 
 
 PROVENANCE = "radiometry"  # where a rig's provenance holds what is found here
@@ -208,6 +199,10 @@ class RadiometricCalibration:
         return text_of(radiometry_lines(self.facts, base_tilt=self.base_tilt))
 
 
+MAX_RESIDUAL_PERCENT = 1.0
+"""Rms of an LED's residuals: the goal of the radiometric calibration."""
+
+
 def fit_radiometry(
     capture: Capture,
     rig: Rig,
@@ -228,21 +223,21 @@ def fit_radiometry(
         "card": {
             "height_mm": plane.height_mm,
             "tilt_deg": list(plane.tilt_deg),
-            "level": _round(flat.card_level),
+            "level": rounded(flat.card_level),
             "exposures_given": images.exposures_given,
-            "unevenness_percent": _round(flat.common_percent),
-            "gloss_percent": _round(flat.gloss_percent),
-            "dust_percent": _round(100 * float(flat.dust.mean())),
+            "unevenness_percent": rounded(flat.common_percent),
+            "gloss_percent": rounded(flat.gloss_percent),
+            "dust_percent": rounded(100 * flat.dust.mean()),
         },
         "leds": leds,
         "lens": {
             "shading": list(flat.camera.shading),
-            "corner": _round(1.0 + sum(flat.camera.shading)),
+            "corner": rounded(1.0 + sum(flat.camera.shading)),
         },
         "model": {
             "chosen": flat.order.name,
             "tried": [
-                {"name": n, "parameters": p, "rms_percent": _round(rms)}
+                {"name": n, "parameters": p, "rms_percent": rounded(rms)}
                 for n, p, rms in flat.orders
             ],
         },
@@ -256,6 +251,10 @@ def fit_radiometry(
         facts=facts,
         findings=_findings(rig, images, flat, limit_percent),
     )
+
+
+_GLOSS_PERCENT = 2.0
+"""A card whose mirror spot is brighter than this, and than five of its errors, shines."""
 
 
 def _check(flat: FlatField, rig: Rig, limit_percent: float) -> None:
@@ -280,9 +279,9 @@ def _check(flat: FlatField, rig: Rig, limit_percent: float) -> None:
         " the card, and that its beam is smooth (a frosted LED's is).",
     )
     require(
-        flat.gloss_percent <= max(GLOSS_PERCENT, 5 * flat.gloss_error),
+        flat.gloss_percent <= max(_GLOSS_PERCENT, 5 * flat.gloss_error),
         f"the card shines: it is {flat.gloss_percent:.1f} % brighter where a mirror would show the"
-        f" LEDs (at most {GLOSS_PERCENT:g} % may be); use a matt card, such as uncoated paper or a"
+        f" LEDs (at most {_GLOSS_PERCENT:g} % may be); use a matt card, such as uncoated paper or a"
         " sheet of PTFE.",
     )
 
@@ -299,19 +298,35 @@ def _led_facts(
         "name": led_name(rig.leds, k),
         "intensity": led.intensity,
         "lobe_exponent": led.lobe_exponent,
-        "lobe_exponent_error": _round(error) if np.isfinite(error) else None,
-        "aim_off_deg": _round(float(np.rad2deg(np.arccos(np.clip(led.axis @ origin, -1, 1))))),
-        "level": _round(float(level)),
-        "rms_percent": _round(rms),
-        "largest_percent": _round(float(flat.largest_percent[k])),
+        "lobe_exponent_error": rounded(error) if np.isfinite(error) else None,
+        "aim_off_deg": rounded(np.rad2deg(np.arccos(np.clip(led.axis @ origin, -1, 1)))),
+        "level": rounded(level),
+        "rms_percent": rounded(rms),
+        "largest_percent": rounded(flat.largest_percent[k]),
         "verdict": "good" if rms <= 0.5 * limit_percent else "fair",
     }
+
+
+_AMBIENT_PERCENT = 5.0
+"""Light from elsewhere, relative to the LEDs'."""
+
+
+def _ambient_light(images: CardImages) -> list[Finding]:
+    return [
+        Finding(
+            "ambient-light",
+            f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit"
+            f" {_AMBIENT_PERCENT:g} %); close the lid, for it changes from image to image.",
+        )
+        for band, fraction in images.ambient_percent.items()
+        if fraction is not None and fraction > _AMBIENT_PERCENT
+    ]
 
 
 def _findings(
     rig: Rig, images: CardImages, flat: FlatField, limit_percent: float
 ) -> tuple[Finding, ...]:
-    findings = []
+    findings = _ambient_light(images)
     for band, fraction in images.ambient_percent.items():
         if fraction is None:
             words = (
@@ -319,12 +334,6 @@ def _findings(
                 " counted as the LEDs'."
             )
             findings.append(Finding("no-ambient-image", words))
-        elif fraction > AMBIENT_PERCENT:
-            words = (
-                f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit"
-                f" {AMBIENT_PERCENT:g} %); close the lid, for it changes from image to image."
-            )
-            findings.append(Finding("ambient-light", words))
     for k, largest in enumerate(flat.largest_percent):
         if largest > 3 * limit_percent:
             words = (
@@ -339,7 +348,7 @@ def _findings(
             " less noise."
         )
         findings.append(Finding("dark-photographs", words))
-    if flat.gloss_percent > 0.5 * GLOSS_PERCENT and flat.gloss_percent > 5 * flat.gloss_error:
+    if flat.gloss_percent > 0.5 * _GLOSS_PERCENT and flat.gloss_percent > 5 * flat.gloss_error:
         words = (
             f"the card shines a little: {flat.gloss_percent:.1f} % where a mirror would show the"
             " LEDs."
@@ -348,7 +357,8 @@ def _findings(
     return worst_first(findings)
 
 
-def _round(value: float) -> float:
+def rounded(value: float | np.floating) -> float:
+    """A number for a report, to six digits."""
     return float(f"{value:.6g}")
 
 
@@ -380,6 +390,24 @@ class CardCheck:
         return text_of(lines)
 
 
+def beside_calibration(
+    images: CardImages, rig: Rig, plane: CardPlane
+) -> tuple[Array, Array, Array]:
+    """(L,) each: how bright the LEDs show the card by the rig's calibration, the same relative to
+    the median of the LED's band, and the robust deviation from it across the picture."""
+    expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds])
+    now = images.light / expected
+    ratio = np.median(now, axis=1)
+    require((ratio > 0).all(), f"LED {int(np.argmin(ratio))} did not light; take the card again.")
+    pattern = 1.4826 * np.median(np.abs(now / ratio[:, None] - 1.0), axis=1)
+    bands = np.array([led.band for led in rig.leds])
+    middles = np.array([np.median(ratio[bands == band]) for band in bands])
+    return ratio, ratio / middles, pattern
+
+
+DRIFT_PERCENT = 3.0  # departure of an LED from the calibration
+
+
 def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT) -> CardCheck:
     """Compare a card with the calibration that a rig carries; BadInput if it carries none, or as
     :func:`fit_radiometry`.
@@ -395,41 +423,29 @@ def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT)
         exposures_given = bool(stored["card"]["exposures_given"])
         assert len(levels) == len(rig.leds) and bool((levels > 0).all())
     images = card_images(capture, rig)
-    expected = (
-        np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds])
-        * levels[:, None]
-    )
-    now = images.light / expected
-    ratio = np.median(now, axis=1)
-    require(
-        bool((ratio > 0).all()), f"LED {int(np.argmin(ratio))} did not light; take the card again."
-    )
-    # of an LED that moved or turned
-    pattern = 100 * 1.4826 * np.median(np.abs(now / ratio[:, None] - 1.0), axis=1)
-    bands = np.array([led.band for led in rig.leds])
-    middle = {
-        band: float(np.median(ratio[bands == band])) for band in dict.fromkeys(bands.tolist())
-    }
-    own = ratio / np.array([middle[band] for band in bands])
+    images = replace(images, light=images.light / levels[:, None])
+    ratio, own, pattern = beside_calibration(images, rig, plane)
+    pattern *= 100  # of an LED that moved or turned
+    middle = {led.band: float(ratio[k] / own[k]) for k, led in enumerate(rig.leds)}
     # else exposure, gain, lens and card are not known to be the same
     comparable = exposures_given and images.exposures_given
-    findings: list[Finding] = []
+    findings = _ambient_light(images)
     leds = []
     for k, value in enumerate(own):
         name = led_name(rig.leds, k)
         if abs(value - 1) > 0.01 * limit_percent:
             words = f"LED {name} is {_change(float(value))} than at the calibration."
             findings.append(Finding("drifted-led", words, Severity.DOUBT))
-        if pattern[k] > PATTERN_PERCENT:
+        if pattern[k] > 1.0:  # robust deviation: the LED has moved or turned
             words = (
                 f"LED {name} lights the card otherwise than at the calibration ({pattern[k]:.1f} %"
                 " across the picture): it moved or turned."
             )
             findings.append(Finding("moved-led", words, Severity.DOUBT))
         ratios = {
-            "ratio": _round(ratio[k]),
-            "own_ratio": _round(value),
-            "pattern_percent": _round(pattern[k]),
+            "ratio": rounded(ratio[k]),
+            "own_ratio": rounded(value),
+            "pattern_percent": rounded(pattern[k]),
         }
         leds.append({"led": k, "name": name, **ratios})
     for band, value in middle.items():
@@ -439,15 +455,11 @@ def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT)
                 " gain, supply, lens or card changed."
             )
             findings.append(Finding("drifted-band", words, Severity.DOUBT))
-    for band, fraction in images.ambient_percent.items():
-        if fraction is not None and fraction > AMBIENT_PERCENT:
-            words = f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'."
-            findings.append(Finding("ambient-light", words))
     facts = {
         "verdict": "drifted" if findings else "as calibrated",
         "leds": leds,
         "common_ratio": {
-            band: _round(value) if comparable else None for band, value in middle.items()
+            band: rounded(value) if comparable else None for band, value in middle.items()
         },
         "ambient_percent": images.ambient_percent,
         "findings": [finding.facts for finding in worst_first(findings)],

@@ -17,27 +17,21 @@ from splitknit.io.fields import Version1, inside, read_document
 from splitknit.io.images import read_image, write_image
 from splitknit.io.pictures import ColourArray, colour
 from splitknit.io.provenance import file_hash, provenance
-from splitknit.io.targets import check_picture, check_rig_file
 from splitknit.model import Array, FloatArray, PixelArray, Progress, no_progress
+from splitknit.observation.light import FULL_SCALE
 from splitknit_rig.calibration.card_model import CardPlane
-from splitknit_rig.calibration.parameters import (
-    DRIFT_PERCENT,
-    MAX_BASE_TILT_DEG,
-    MAX_RESIDUAL_PERCENT,
-    MAX_TEXTURE,
-    MIN_EXPOSURES,
-    PATCHES_ACROSS,
-    RESIDUAL_SCALE_PERCENT,
-    RESIDUAL_TILE_PX,
-)
 from splitknit_rig.calibration.radiometry import (
+    DRIFT_PERCENT,
+    MAX_RESIDUAL_PERCENT,
     PROVENANCE,
     CardCheck,
     RadiometricCalibration,
     check_card,
     fit_radiometry,
+    rounded,
 )
-from splitknit_rig.calibration.sensor import fit_response
+from splitknit_rig.calibration.sensor import MIN_EXPOSURES, fit_response
+from splitknit_rig.calibration.written import check_picture, check_rig_file
 
 
 def calibrate_to_file(
@@ -95,7 +89,8 @@ def base_tilt_deg(rig: Rig) -> tuple[float, float]:
         deviation = float(plane["tilt_deg_deviation"])
     except (KeyError, TypeError, ValueError):
         return 0.0, 0.0
-    return (x, y) if 2.0 * deviation < math.hypot(x, y) <= MAX_BASE_TILT_DEG else (0.0, 0.0)
+    # a base that is tilted by more than 5 deg is not taken for the card
+    return (x, y) if 2.0 * deviation < math.hypot(x, y) <= 5.0 else (0.0, 0.0)
 
 
 def check_folder(
@@ -131,13 +126,16 @@ def _residual_picture(calibration: RadiometricCalibration) -> ColourArray:
     return np.concatenate(bands, axis=0)
 
 
+_RESIDUAL_TILE_PX = 240  # width of one LED's residuals
+
+
 def residual_tile(residual: Any, dust: Any, shape: tuple[int, int]) -> ColourArray:
     """Residuals of one light in per cent, as a picture: blue too dark, orange too bright by 2 %,
     black where unused."""
     values: FloatArray = np.asarray(residual, dtype=np.float32).reshape(shape)
-    small = colour(values, -RESIDUAL_SCALE_PERCENT, RESIDUAL_SCALE_PERCENT, diverging=True)
+    small = colour(values, -2.0, 2.0, diverging=True)
     small[np.asarray(dust).reshape(shape)] = 0
-    size = (RESIDUAL_TILE_PX, round(RESIDUAL_TILE_PX * shape[0] / shape[1]))
+    size = (_RESIDUAL_TILE_PX, round(_RESIDUAL_TILE_PX * shape[0] / shape[1]))
     tile = np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
     return np.asarray(
         cv2.copyMakeBorder(tile, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=(255, 255, 255)),
@@ -187,7 +185,8 @@ def exposure_series(
     # one at a time: a series does not fit into a Raspberry Pi's memory
     rows = [patches(_image(path, capture, hashes)) for path, _ in exposures]
     values, spread = map(np.stack, zip(*rows, strict=True))
-    even = spread.max(axis=0) <= MAX_TEXTURE
+    # patches within 4 % of full scale are even
+    even = spread.max(axis=0) <= 0.04
     hashes[DOCUMENT] = file_hash(folder / DOCUMENT)
     # all, if few are even in all images
     values = values[:, even] if int(even.sum()) >= 100 else values
@@ -199,8 +198,16 @@ def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
         path.is_file(),
         f"{path}, which {DOCUMENT} names, does not exist; add it or remove its entry.",
     )
-    pixels = read_image(path)
     like = capture.bands["white"].pixels
+
+    def check(rows: int, columns: int) -> None:
+        require(
+            (rows, columns) == like.shape[1:3],
+            f"{path} has {rows} x {columns} pixels, but the card's images have {like.shape[1]} x"
+            f" {like.shape[2]}; take all with the same settings.",
+        )
+
+    pixels = read_image(path, check)
     require(
         pixels.shape == like.shape[1:] and pixels.dtype == like.dtype,
         f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels, {pixels.shape[2]} channels of"
@@ -216,20 +223,15 @@ def patches(frame: PixelArray) -> tuple[Array, Array]:
     """Means (n * C,) of small squares as parts of full scale, NaN where clipped at either end, and
     their deviation."""
     full = np.float32(np.iinfo(frame.dtype).max)
-    side = max(2, max(frame.shape[:2]) // PATCHES_ACROSS)
+    side = max(2, max(frame.shape[:2]) // 40)  # 40 patches along the longer side
     rows, columns = (size // side for size in frame.shape[:2])
     cut = frame[: rows * side, : columns * side].astype(np.float32) / full
     squares = (
         cut.reshape(rows, side, columns, side, -1).transpose(0, 2, 4, 1, 3).reshape(-1, side * side)
     )
     mean = squares.mean(axis=1).astype(np.float64)
-    clipped = (squares.max(axis=1) >= 0.985) | ((squares == 0).mean(axis=1) > 0.02)
+    clipped = (squares.max(axis=1) >= FULL_SCALE) | ((squares == 0).mean(axis=1) > 0.02)
     return np.where(clipped, np.nan, mean), squares.std(axis=1).astype(np.float64)
-
-
-def rounded(value: float) -> float:
-    """A number for a report, to five digits."""
-    return float(f"{value:.5g}")
 
 
 DOCUMENT = "radiometry.json"

@@ -16,15 +16,6 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.model import Array
-from splitknit_rig.calibration.parameters import (
-    INCONSISTENT_PERCENT,
-    MAX_NONLINEAR_PERCENT,
-    MIN_EXPOSURE_RATIO,
-    MIN_EXPOSURES,
-    MIN_VALUE_RANGE,
-    RESPONSE_DEGREE,
-    SERIES_CLIP,
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +34,7 @@ class Response:
 def fit_response(
     values: Any,
     exposure_s: Any,
-    limit_percent: float = MAX_NONLINEAR_PERCENT,
+    limit_percent: float = 1.0,
     *,
     name: str = "the exposure series",
 ) -> Response:
@@ -69,7 +60,7 @@ def fit_response(
     decoded_departure, decoded_residual = _straightness(linear_light, times)
     residual = min(residual, decoded_residual)
     require(
-        residual <= 0.01 * INCONSISTENT_PERCENT,
+        residual <= 0.01,
         f"{name} contradicts itself by {100 * residual:.1f} % of full scale: the scene moved, the"
         " light changed, or exposure or gain were not what the file states; take the series again"
         " with everything fixed.",
@@ -90,6 +81,11 @@ def fit_response(
     )
 
 
+MIN_EXPOSURES = 4
+_MIN_EXPOSURE_RATIO = 3.0  # longest over shortest
+_MIN_VALUE_RANGE = 0.3  # of full scale
+
+
 def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     stored, times = np.array(values, dtype=np.float64), np.asarray(exposure_s, dtype=np.float64)
     different = len(np.unique(times))
@@ -99,11 +95,11 @@ def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     )
     ratio = float(times.max() / times.min())
     require(
-        ratio >= MIN_EXPOSURE_RATIO,
-        f"{name} spans a ratio of {ratio:.1f} in exposure, but {MIN_EXPOSURE_RATIO:g} at least"
+        ratio >= _MIN_EXPOSURE_RATIO,
+        f"{name} spans a ratio of {ratio:.1f} in exposure, but {_MIN_EXPOSURE_RATIO:g} at least"
         " is needed.",
     )
-    stored[~(stored < SERIES_CLIP)] = np.nan
+    stored[~(stored < 0.98)] = np.nan  # clipped
     seen = np.isfinite(stored).sum(axis=0) >= 3
     require(
         int(seen.sum()) >= 30,
@@ -114,8 +110,8 @@ def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     _check_growth(stored, times, name)
     span = float(np.nanmax(stored) - np.nanmin(stored))
     require(
-        span >= MIN_VALUE_RANGE,
-        f"{name} covers {100 * span:.0f} % of full scale, but {100 * MIN_VALUE_RANGE:.0f} % is"
+        span >= _MIN_VALUE_RANGE,
+        f"{name} covers {100 * span:.0f} % of full scale, but {100 * _MIN_VALUE_RANGE:.0f} % is"
         " needed to distinguish a curve from a line; expose longer, or take a scene with bright and"
         " dark parts.",
     )
@@ -147,7 +143,7 @@ def _straightness(stored: Array, times: Array) -> tuple[float, float]:
     """
     low, high = float(np.nanmin(stored)), float(np.nanmax(stored))
     grid = np.linspace(low, high, 201)
-    for degree in range(RESPONSE_DEGREE, 0, -1):
+    for degree in range(5, 0, -1):  # of the polynomial of the inverse response
         polynomial, residual = _polynomial(stored, times, degree, (low, high))
         light = polynomial(grid)
         if bool((np.diff(light) > 0).all()):

@@ -20,17 +20,8 @@ from scipy.special import ndtr
 
 from splitknit.checks import check_stack
 from splitknit.errors import require
+from splitknit.imaging.robust import cauchy, deviation
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_rig.calibration.parameters import (
-    BORDER_MM,
-    EDGE_PX,
-    MIN_NAIL_MM2,
-    MIN_SHADOW_MM,
-    NAIL_LEVEL,
-    OUTLINE_PIXELS,
-    SHADOW_LEVEL,
-    TIP_STRETCH,
-)
 
 # The shadow of a blunt cone as a shape: the hull of two circles, softened by the size of the light.
 
@@ -59,7 +50,8 @@ class _Shape:
             away = _hull_distance(
                 places - self.base, tip - self.base, self.base_radius, self.tip_radius
             )
-            total += ndtr(-away / EDGE_PX)
+            # an edge is soft by half a pixel (standard deviation): pixels and lens
+            total += ndtr(-away / 0.5)
         return self.depth * total / len(_LIGHT)
 
 
@@ -84,30 +76,25 @@ def _fit_shape(
     usable: BoolArray,
     start: _Shape,
     px_per_mm: float,
-    common: tuple[float, float] | None = None,
 ) -> _Shape:
     """Fit the shape to the darkness (H, W), the missing fraction of the light, about its outer
-    part. `usable`: (H, W), off the nail; `common`: radius of the tip's shadow and of the penumbra,
-    where known.
+    part. `usable`: (H, W), off the nail.
     """
 
     def shape_of(v: Array) -> _Shape:
-        radius, penumbra = common if common is not None else (abs(v[6]), abs(v[7]))
-        return _Shape(v[0:2], radius, penumbra, v[2:4], abs(v[4]), v[5])
+        return _Shape(v[0:2], abs(v[6]), abs(v[7]), v[2:4], abs(v[4]), v[5])
 
     def residuals(v: Array, places: Array, values: Array) -> Array:
         # the base is seldom seen; its place is known from the nail, loosely
         known = [(v[2] - start.base[0]) / px_per_mm, (v[3] - start.base[1]) / px_per_mm]
         known += [(v[4] - start.base_radius) / px_per_mm, (v[5] - 0.97) / 0.05]
-        if common is None:
-            known += [(v[6] / px_per_mm - 0.15) / 0.15, (v[7] / px_per_mm - 0.15) / 0.15]
+        known += [(v[6] / px_per_mm - 0.15) / 0.15, (v[7] / px_per_mm - 0.15) / 0.15]
         return np.concatenate([shape_of(v).darkness(places) - values, 0.3 * np.array(known)])
 
     shape = start
     sizes = np.array([1.0, 1.0, 5.0, 5.0, 5.0, 0.05, 1.0, 1.0])
-    free = 8 if common is None else 6
     # the pixels are chosen again once the outline is better known
-    for _ in range(2 if common is None else 1):
+    for _ in range(2):
         pixels = _pixels_about(darkness, usable, shape, px_per_mm)
         if len(pixels[0]) < 20:
             return shape
@@ -123,8 +110,8 @@ def _fit_shape(
         )
         fit = least_squares(
             residuals,
-            x[:free],
-            x_scale=sizes[:free],
+            x,
+            x_scale=sizes,
             loss="soft_l1",
             f_scale=0.15,
             max_nfev=20,
@@ -132,6 +119,10 @@ def _fit_shape(
         )
         shape = shape_of(np.asarray(fit.x))
     return shape
+
+
+_OUTLINE_PIXELS = 500
+"""Near a shadow's tip, evenly spread; half as many along its sides. Chosen on: speed."""
 
 
 def _pixels_about(
@@ -161,7 +152,7 @@ def _pixels_about(
     # near the tip all pixels count, along the sides as many as there is room for
     near = np.linalg.norm(places[index] - shape.tip, axis=1) < 1.5 * px_per_mm
     index = np.concatenate(
-        [_thin(index[near], OUTLINE_PIXELS), _thin(index[~near], OUTLINE_PIXELS // 2)]
+        [_thin(index[near], _OUTLINE_PIXELS), _thin(index[~near], _OUTLINE_PIXELS // 2)]
     )
     values = darkness[rows.ravel()[index], columns.ravel()[index]].astype(np.float64)
     return places[index], np.clip(values, -0.5, 1.2)
@@ -188,39 +179,36 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
     usual = np.median(images, axis=0).astype(np.float32)
     require(float(np.percentile(usual, 99)) > 0, f"{names[0]} and the images beside it are black.")
     ground = _smooth(usual, np.ones(usual.shape, dtype=np.bool_))
-    dark = usual < NAIL_LEVEL * ground
+    # the nail is darker than the ground around it, a shadow than its place under the other LEDs
+    dark = usual < 0.45 * ground
     ratios = [_ratio(image, usual, dark) for image in images]
-    shadows = np.stack([(ratio < SHADOW_LEVEL) & ~dark for ratio in ratios])
+    shadows = np.stack([(ratio < 0.5) & ~dark for ratio in ratios])
     nail = _nail_among(dark, shadows, px_per_mm, names)
     rows, columns = np.nonzero(nail)
     middle = np.array([columns.mean(), rows.mean()])
     size = float(np.sqrt(rows.size / np.pi))
     near = cv2.dilate(nail.astype(np.uint8), _disc(0.25 * px_per_mm)) > 0
     shapes: dict[int, _Shape] = {}
-    border = max(round(BORDER_MM * px_per_mm), 1)
+    # a shadow within 0.3 mm of the picture's border leaves it
+    border = max(round(0.3 * px_per_mm), 1)
     for led, (shadow, name) in enumerate(zip(shadows, names, strict=True)):
         part = _shadow_of(shadow, near)
         end = _far_end(part, middle)
         reach = float(np.linalg.norm(end - middle)) - size
         require(
-            reach >= MIN_SHADOW_MM * px_per_mm,
+            reach >= 0.7 * px_per_mm,  # mm beyond the nail
             f"{name} shows no shadow of the nail; check that its LED was lit, and alone, and that"
             " the nail stands in the picture.",
         )
         if part[border:-border, border:-border].sum() == part.sum():  # else it leaves the picture
             start = _Shape(end, 0.1 * px_per_mm, 0.1 * px_per_mm, middle, size, depth=0.95)
             shapes[led] = _fit_shape(1.0 - ratios[led], ~near, start, px_per_mm)
-    if len(shapes) >= 3:  # again with one bluntness of tip and one penumbra, for it is one nail
-        each = [(shape.tip_radius, shape.penumbra) for shape in shapes.values()]
-        radius, penumbra = np.median(each, axis=0).tolist()
-        for led, shape in shapes.items():
-            shapes[led] = _fit_shape(1.0 - ratios[led], ~near, shape, px_per_mm, (radius, penumbra))
     tips = np.full((len(images), 2), np.nan)
     for led, shape in shapes.items():
         tips[led] = shape.tip
     # the faces meet where a sharp tip would be; the blunt one lies lower, and so is seen nearer to
-    # the base
-    blunt = float(np.median([shape.tip_radius for shape in shapes.values()] or [0.0])) / TIP_STRETCH
+    # the base; a tip's shadow is 1.12 times the tip for a nail of an eighth of the LEDs' height
+    blunt = float(np.median([shape.tip_radius for shape in shapes.values()] or [0.0])) / 1.12
     tip = middle + (_nail_tip(images, nail, px_per_mm) - middle) * (1.0 - min(blunt / size, 0.5))
     return NailView(tip, tips, nail)
 
@@ -245,7 +233,7 @@ def _smooth(image: FloatArray, usable: BoolArray) -> FloatArray:
     for _ in range(8):
         weights = np.linalg.lstsq(terms[good], values[good], rcond=None)[0]
         off = values - terms @ weights
-        spread = 1.4826 * float(np.median(np.abs(off[good]))) + 1e-9
+        spread = deviation(off[good]) + 1e-9
         good = np.abs(off) < 3.0 * spread
     r, c = np.arange(height)[:, None] / height - 0.5, np.arange(width)[None, :] / width - 0.5
     a, by_r, by_c, rr, rc, cc = weights
@@ -261,7 +249,7 @@ def _nail_among(
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         dark.astype(np.uint8), connectivity=8
     )
-    area = MIN_NAIL_MM2 * px_per_mm**2
+    area = 0.3 * px_per_mm**2  # mm^2
     best, most = 0, 0
     for label in range(1, count):
         if stats[label, cv2.CC_STAT_AREA] >= area:
@@ -356,7 +344,7 @@ def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> Array:
         right = np.einsum("n,ni,nj,nj->i", w, g, g, p)
         before, tip = tip, np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), right)
         off = np.abs(((p - tip) * g).sum(axis=1)) / lever / scale
-        weights = 1.0 / (1.0 + (off / (0.1 + 2.0 * float(np.median(off)))) ** 2) ** 2
+        weights = cauchy(off, 0.1 + 2.0 * float(np.median(off))) ** 2
         if float(np.abs(tip - before).max()) < 1e-3:
             break
     column, row = tip + np.array([left, top])

@@ -17,15 +17,8 @@ import numpy as np
 
 from splitknit.checks import check_mask, check_stack
 from splitknit.errors import require
+from splitknit.imaging.robust import deviation
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_rig.calibration.parameters import (
-    MIN_BALL_PX,
-    MIN_RIM_PX,
-    RIM_AGREEMENT,
-    RIM_RAYS,
-    RIM_REACH,
-    SECOND_BALL_AREA,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,33 +47,34 @@ class Ball:
         return level + ahead[..., None] * view, view
 
 
-def ball_of_mask(mask: Any) -> Ball:
-    """Ball whose image is the true part of `mask` (H, W): a circle through its border; BadInput if
-    it is none."""
+def balls_of_mask(mask: Any) -> list[Ball]:
+    """Balls whose images are the discs of `mask` (H, W): circles through their borders; BadInput if
+    one is no disc."""
     array = np.asarray(mask)
     require(
         array.ndim == 2, f"the ball's mask must have the shape (H, W), but it has {array.shape}."
     )
     inside = check_mask(array, (array.shape[0], array.shape[1]), name="the ball's mask")
-    ball, off = _ball_in(
-        inside, "the ball's mask is too small; it must be white where the ball is."
-    )
-    require(
-        float(off.mean()) < 0.05 * (ball.radius_px - 0.5),
-        "the ball's mask is not a disc; it must be white where the whole ball is and black"
-        " elsewhere.",
-    )
-    return ball
+    small = "the ball's mask is too small; it must be white where the ball is."
+    count, labels = cv2.connectedComponents(inside.astype(np.uint8), connectivity=8)
+    balls = []
+    for label in range(1, count):
+        ball, off = _ball_in(labels == label, small)
+        require(
+            float(off.mean()) < 0.05 * (ball.radius_px - 0.5),
+            "the ball's mask is not a disc; it must be white where the whole ball is and black"
+            " elsewhere.",
+        )
+        balls.append(ball)
+    return balls
+
+
+_MIN_BALL_PX = 8.5  # radius of a ball that is found without a mask
 
 
 def find_ball(stack: Any) -> Ball:
-    """Largest ball of :func:`find_balls`."""
-    return find_balls(stack)[0]
-
-
-def find_balls(stack: Any) -> list[Ball]:
-    """Outlines of the balls in photographs (L, H, W) against a dark background, the largest first
-    and those much smaller left out, or raise BadInput."""
+    """Outline of the largest ball in photographs (L, H, W) against a dark background, or raise
+    BadInput."""
     images = check_stack(stack, least=1, name="the photographs of the ball")
     bright = images.max(axis=0)
     top = float(np.percentile(bright, 99.5))
@@ -89,29 +83,23 @@ def find_balls(stack: Any) -> list[Ball]:
     grey = np.rint(255 * np.sqrt(level)).astype(np.uint8)
     _, split = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(split, connectivity=8)
-    missing = "no ball was found in the photographs; give its outline with `mask`."
+    missing = "no ball was found in the photographs; give its outline with `ball` or `mask`."
     require(count > 1, missing)
-    areas = stats[:, cv2.CC_STAT_AREA]
-    largest, *others = 1 + np.argsort(-areas[1:], kind="stable")
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     ball, off = _ball_in(labels == largest, missing)
+    is_round = float(np.median(off)) < 0.03 * (ball.radius_px - 0.5)
     require(
-        _is_round(ball, off),
-        "nothing round stands out in the photographs; give the ball's outline with `mask`.",
+        is_round and ball.radius_px >= _MIN_BALL_PX,
+        "nothing round stands out in the photographs; give the ball's outline with `ball` or"
+        " `mask`.",
     )
-    balls = [ball]
-    smallest = max(SECOND_BALL_AREA * areas[largest], np.pi * MIN_BALL_PX**2)
-    for region in others:
-        if areas[region] < smallest:
-            break
-        second, off = _ball_in(labels == region, missing)
-        if _is_round(second, off):
-            balls.append(second)
-    return balls
+    return ball
 
 
-def _is_round(ball: Ball, off: Array) -> bool:
-    """Whether a circle's outline, whose pixels lie `off` it (N,), can be a ball's."""
-    return float(np.median(off)) < 0.03 * (ball.radius_px - 0.5) and ball.radius_px >= MIN_BALL_PX
+_RIM_RAYS = 360  # from a ball's middle
+MIN_RIM_PX = 40.0
+"""Radius of a ball whose rim is looked for: of 12 smaller ones 5 came out 3 to 12 % beside. Chosen
+on: simulated objects (drawn balls on textures)."""
 
 
 def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
@@ -126,8 +114,9 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
     if ball.radius_px < MIN_RIM_PX:
         return ball, agreed
     for _ in range(2):  # from a better middle more rays meet the rim squarely
-        angle = 2.0 * np.pi * np.arange(RIM_RAYS)[:, None] / RIM_RAYS
-        reach, step = RIM_REACH * ball.radius_px, max(0.5, ball.radius_px / 300.0)
+        angle = 2.0 * np.pi * np.arange(_RIM_RAYS)[:, None] / _RIM_RAYS
+        # the rim lies within a tenth of the radius off the outline
+        reach, step = 0.1 * ball.radius_px, max(0.5, ball.radius_px / 300.0)
         radii = np.arange(ball.radius_px - reach, ball.radius_px + reach, step)
         x, y = ball.column + np.cos(angle) * radii, ball.row + np.sin(angle) * radii
         energy = np.zeros(x.shape)
@@ -140,7 +129,7 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
                 )
                 ** 2
             )
-        ray, best = np.arange(RIM_RAYS), np.clip(energy.argmax(axis=1), 1, len(radii) - 2)
+        ray, best = np.arange(_RIM_RAYS), np.clip(energy.argmax(axis=1), 1, len(radii) - 2)
         low, top, high = (energy[ray, best + k] for k in (-1, 0, 1))
         bent = np.minimum(low - 2.0 * top + high, -1e-12)
         edge = radii[best] + step * np.clip(0.5 * (low - high) / bent, -0.5, 0.5)
@@ -151,9 +140,9 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
         seen = ((x > 0) & (x < columns - 1) & (y > 0) & (y < rows - 1)).all(axis=1)
         triples = (
             np.array(
-                [(k, k + s, k + 2 * s) for s in (45, 60, 75, 90, 120) for k in range(RIM_RAYS)]
+                [(k, k + s, k + 2 * s) for s in (45, 60, 75, 90, 120) for k in range(_RIM_RAYS)]
             )
-            % RIM_RAYS
+            % _RIM_RAYS
         )
         triples = triples[seen[triples].all(axis=1)]
         if not len(triples):
@@ -168,7 +157,7 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
         off = (
             np.linalg.norm(points[seen] - circles[near, None, :2], axis=2) - circles[near, None, 2]
         )
-        on = np.abs(off) < max(RIM_AGREEMENT * ball.radius_px, 1.0)
+        on = np.abs(off) < max(0.007 * ball.radius_px, 1.0)
         most = on[int(on.sum(axis=1).argmax())]
         ball, agreed = Ball(*_circle(points[seen][most])), float(most.mean())
     return ball, agreed
@@ -187,27 +176,41 @@ def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Array]:
     )
 
 
+_FRONT = 0.5
+"""Least z of a ball's normal where lights above the ground glint, as it halves the angle to a
+camera up to 30 deg aside. Further out the ground may show beside the outline."""
+
+
+def glints_of(stack: Any, ball: Ball) -> Array:
+    """(L, 2) column and row of the highlight on a chrome ball in images (L, H, W), linear; NaN
+    where none stands out, as of a light behind the ball."""
+    images = check_stack(stack, least=1, name="the photographs of the ball")
+    front = np.nan_to_num(ball.normals(images.shape[1:])[..., 2]) > _FRONT
+    rows, columns = np.nonzero(front)
+    require(len(rows), "the ball lies outside the photographs.")
+    top, left = rows.min(), columns.min()
+    box = slice(top, rows.max() + 1), slice(left, columns.max() + 1)
+    inside = front[box]
+    highlights = [_highlight(image[box], inside) for image in images]
+    return np.asarray(np.array(highlights) + (left, top))  # noqa: RUF005
+
+
 def chrome_directions(
     stack: Any, ball: Ball, eye: Array | None = None, away: Array | None = None
 ) -> Array:
     """Directions (L, 3), l = 2 (n . v) n - v, from the highlights on a chrome ball in `stack` (L,
-    H, W), linear: there the normal n halves the angle between light and view v. Raises BadInput if
-    an image (numbered) has none.
+    H, W), linear: there the normal n halves the angle between light and view v. NaN where an image
+    has none.
     """
-    images = check_stack(stack, name="the photographs of the ball")
-    inside = np.isfinite(ball.normals(images.shape[1:])[..., 2])
-    require(bool(inside.any()), "the ball lies outside the photographs.")
-    directions = []
-    for number, image in enumerate(images):
-        normal, view = ball.seen(*_highlight(image, inside, number), eye)
-        ray = 2.0 * float(normal @ view) * normal - view
-        if away is not None:  # the ray leaves the highlight, the direction the ball's middle
-            along = float(normal @ ray)
-            ray = (normal + (np.sqrt(along**2 + away[number] ** 2 - 1.0) - along) * ray) / away[
-                number
-            ]
-        directions.append(ray)
-    return np.array(directions)
+    column, row = glints_of(stack, ball).T
+    normal, view = ball.seen(column, row, eye)
+    ray: Array = 2.0 * np.sum(normal * view, axis=1, keepdims=True) * normal - view
+    if away is None:
+        return ray
+    # the ray leaves the highlight, the direction the ball's middle
+    along = np.sum(normal * ray, axis=1)
+    ahead = np.sqrt(along**2 + away**2 - 1.0) - along
+    return np.asarray((normal + ahead[:, None] * ray) / away[:, None])
 
 
 def grey_directions(
@@ -258,7 +261,7 @@ def grey_directions(
             )
             expected = (n @ light - far[1]) / far[0]
             strength = float(np.linalg.norm(light))
-            spread = 1.4826 * float(np.median(np.abs(values[lit] - expected[lit]))) + 1e-9
+            spread = deviation(values[lit] - expected[lit]) + 1e-9
             # in the light by a margin, no gloss and no cast shadow
             lit = good & (expected > 0.15 * strength) & (np.abs(values - expected) < 3.0 * spread)
             if float(np.linalg.norm(light - before)) < 1e-9 * strength:
@@ -283,18 +286,18 @@ def _circle(points: Array) -> tuple[float, float, float]:
     return float(a), float(b), radius
 
 
-def _highlight(image: FloatArray, inside: BoolArray, number: int) -> tuple[float, float]:
-    values = np.where(inside, image, 0.0).astype(np.float64)
+_MIN_HIGHLIGHT = 0.03  # of the largest value
+
+
+def _highlight(image: FloatArray, inside: BoolArray) -> tuple[float, float]:
+    """Middle of what is brighter than halfway between a ball's most and usual brightness."""
+    values = np.where(inside, cv2.GaussianBlur(image, (0, 0), 1.2), 0.0).astype(np.float64)
     top, usual = float(values.max()), float(np.median(values[inside]))
-    require(
-        top > max(3.0 * usual, 0.05), f"image {number}: no highlight stands out on the chrome ball."
-    )
-    level = usual + 0.5 * (top - usual)
-    _, labels = cv2.connectedComponents((values >= level).astype(np.uint8), connectivity=8)
-    sums = np.bincount(
-        labels.ravel(), weights=np.maximum(values - level, 0).ravel() + (values >= level).ravel()
-    )
-    sums[0] = 0.0
-    rows, columns = np.nonzero(labels == int(np.argmax(sums)))
-    weights = np.maximum(values[rows, columns] - level, 0.0) + 1e-9
+    if top <= max(4.0 * usual, _MIN_HIGHLIGHT):
+        return np.nan, np.nan
+    above = values - 0.5 * (top + usual)
+    _, labels = cv2.connectedComponents((above >= 0).astype(np.uint8), connectivity=8)
+    highlight = labels == labels[np.unravel_index(np.argmax(values), values.shape)]
+    rows, columns = np.nonzero(highlight)
+    weights = above[highlight] + 1e-9
     return float(np.average(columns, weights=weights)), float(np.average(rows, weights=weights))

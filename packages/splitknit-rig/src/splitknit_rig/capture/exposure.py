@@ -16,18 +16,6 @@ from splitknit.devices import ExposureRange, Frame
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
-from splitknit_rig.capture.parameters import (
-    CLIPPED_PREVIEW,
-    DETAIL_MM,
-    FINGER_PERCENTILE,
-    FOCUS_PATIENCE,
-    FOCUS_RISE,
-    LEVEL_TOLERANCE,
-    MAX_FOCUS_MEASUREMENTS,
-    MAX_PREVIEWS,
-    MIN_LEVEL,
-    START_S,
-)
 
 Look = Callable[[int, float, float], Frame]
 """Preview under an LED, with an exposure time and a gain."""
@@ -83,6 +71,10 @@ def exposure_of(
     return time_s, float(np.clip(product_s / time_s, camera.lowest_gain, camera.highest_gain))
 
 
+FINGER_PERCENTILE = 99.9
+"""Of the finger's pixels, in the brightest channel."""
+
+
 def _level_of(frame: Frame, region: BoolArray | None = None) -> float:
     """How bright the finger is in the brightest channel, as a fraction of full scale above the
     black level."""
@@ -103,6 +95,12 @@ def _above_black(frame: Frame, stored: np.floating) -> float:
     )
 
 
+START_S = 0.01
+"""Exposure of the first preview, at gain 1. Chosen on: speed."""
+_CLIPPED_PREVIEW = 0.97
+"""Of full scale: such a preview only shows that less is needed."""
+
+
 def survey(
     look: Look, leds: Sequence[int], camera: ExposureRange, settings: ExposureSettings
 ) -> Survey:
@@ -116,9 +114,9 @@ def survey(
         for led in leds:
             frames[led] = look(led, time_s, gain)
             levels.append(_level_of(frames[led]))
-            if levels[-1] >= CLIPPED_PREVIEW:
+            if levels[-1] >= _CLIPPED_PREVIEW:
                 break
-        if levels[-1] >= CLIPPED_PREVIEW:
+        if levels[-1] >= _CLIPPED_PREVIEW:
             product /= 4
             require(
                 exposure_of(product, camera, settings) != (time_s, gain),
@@ -146,12 +144,12 @@ def find_exposure(
     levels = {led: _level_of(frame, region) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
     time_s, gain, level = seen.exposure_s, seen.gain, levels[brightest]
-    for _ in range(MAX_PREVIEWS):
-        if abs(level / settings.target - 1.0) <= LEVEL_TOLERANCE:
+    for _ in range(12):
+        if abs(level / settings.target - 1.0) <= 0.06:
             break
         factor = (
             0.3
-            if level >= CLIPPED_PREVIEW
+            if level >= _CLIPPED_PREVIEW
             else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
         )
         wanted = exposure_of(time_s * gain * factor, camera, settings)
@@ -162,7 +160,7 @@ def find_exposure(
         time_s, gain = frame.exposure_s, frame.gain  # what the sensor made of it
         level = _level_of(frame, region)
     require(
-        level >= MIN_LEVEL * settings.target,
+        level >= 0.3 * settings.target,
         f"the finger is too dark: with {1e3 * time_s:.0f} ms at gain {gain:.1f} its brightest LED"
         f" brings it to {100 * level:.0f} % of full scale; check the LEDs' supply.",
     )
@@ -170,7 +168,7 @@ def find_exposure(
     words = (
         f"the finger is overexposed even with {tried}; close the lid, or lower the LEDs' current."
     )
-    require(level < CLIPPED_PREVIEW, words)
+    require(level < _CLIPPED_PREVIEW, words)
     return Exposure(time_s, gain, brightest, level)
 
 
@@ -193,7 +191,7 @@ def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: flo
     """
     light = check_image(image)
     inside = check_mask(region, (light.shape[0], light.shape[1]))
-    sigma = max(DETAIL_MM * px_per_mm, 0.7)
+    sigma = max(0.02 * px_per_mm, 0.7)  # 1.5 px of the full frame; finer shows focus, and noise
     local = cv2.GaussianBlur(light, (0, 0), 6.0 * sigma)
     floor = np.float32(max(0.05 * float(np.mean(light[inside], dtype=np.float64)), 1e-9))
     relative = np.asarray(light / np.maximum(local, floor), dtype=np.float32)
@@ -239,19 +237,13 @@ class FocusWatch:
     def add(self, focus: Focus) -> bool:
         """Note a measurement; true when it is enough."""
         self.measured += 1
-        self._idle = 0 if focus.sharpness > self.best * (1.0 + FOCUS_RISE) else self._idle + 1
+        self._idle = 0 if focus.sharpness > 1.02 * self.best else self._idle + 1
         self.best = max(self.best, focus.sharpness)
-        self.ended = self._idle >= FOCUS_PATIENCE or self.measured >= MAX_FOCUS_MEASUREMENTS
+        self.ended = self._idle >= 8 or self.measured >= 400
         return self.ended
 
 
 def grey_light(pixels: NDArray[np.unsignedinteger], black_level: float = 0.0) -> FloatArray:
     """(H, W) mean of the channels of stored (H, W, C) integers, 1 = full scale."""
-    full = float(np.iinfo(pixels.dtype).max)
-    mean = pixels[..., 0].astype(np.float32)
-    for c in range(1, pixels.shape[2]):
-        mean += pixels[..., c]
-    mean /= np.float32(pixels.shape[2])
-    mean -= np.float32(black_level)
-    mean *= np.float32(1.0 / full)
-    return mean
+    mean: FloatArray = pixels.mean(axis=2, dtype=np.float32)
+    return (mean - np.float32(black_level)) / np.float32(np.iinfo(pixels.dtype).max)

@@ -57,12 +57,15 @@ def capture_to_folder(
     """
     check_capture(out, overwrite=options.overwrite)
     with atomic_folder(out, overwrite=options.overwrite) as target:
-        how: dict[str, Any] = {
-            "watch_focus": options.watch_focus,
-            "turn": devices.turn or options.turn,
-        }
-        how["progress"] = lambda stage, fraction: progress(stage, 0.8 * fraction)
-        session = run_session(devices.camera, devices.lights, devices.rig, options.settings, **how)
+        session = run_session(
+            devices.camera,
+            devices.lights,
+            devices.rig,
+            options.settings,
+            watch_focus=options.watch_focus,
+            turn=devices.turn or options.turn,
+            progress=lambda stage, fraction: progress(stage, 0.8 * fraction),
+        )
         verdict = "; ".join(session.verdict)
         facts = {**_facts(devices, session, options), "subject": dict(subject)}
         if verdict and not options.keep:

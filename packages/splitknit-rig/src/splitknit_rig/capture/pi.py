@@ -25,17 +25,8 @@ from splitknit import BadInput, Rig
 from splitknit.devices import CameraDevice, Closing, ExposureRange, Frame, LightBank, Opened
 from splitknit.errors import importing, require
 from splitknit.findings import Finding
-from splitknit.model import nominal_rig
+from splitknit.nominal import nominal_rig
 from splitknit.settings import Checked, check_fields
-from splitknit_rig.capture.parameters import (
-    LONGEST_S,
-    MAX_FRAMES,
-    NIR_GAINS,
-    PREVIEW_COLUMNS,
-    SETTLE_S,
-    TURN_S,
-    WHITE_GAINS,
-)
 from splitknit_rig.capture.pins import RigFilms, pins_of, rig_films
 
 
@@ -160,6 +151,9 @@ drivers in Linux and libcamera. Electrons are of published measurements and make
 same sensor, rounded, for simulations (``sensor.full_well_e``); none of these modules has been run
 by this program.
 """
+SETTLE_S = 0.02
+"""Until an LED is at full brightness: far above what an LED (microseconds), its phosphor (under a
+millisecond) and its supply (milliseconds) need."""
 
 
 class PiLightBank(LightBank):
@@ -221,7 +215,8 @@ class PiAnalyser(Closing):
     def __call__(self, position: str) -> None:
         """Turn to ``parallel`` or ``crossed`` and wait until it is there."""
         self._servo.value = self._crossed if position == "crossed" else -self._crossed
-        self._sleep(TURN_S)
+        # twice what a small servo needs for a quarter turn without load (0.1 s for 60 deg at 4.8 V)
+        self._sleep(0.4)
         self._servo.detach()
 
     def close(self) -> None:
@@ -274,6 +269,10 @@ class PiCameraSettings(Checked):
         return SENSORS[self.camera]
 
 
+_NIR_GAINS = (1.0, 1.0)  # of red and blue: the colour filters are transparent
+_MAX_FRAMES = 30  # thrown away while waiting for a good one
+
+
 class PiCamera(CameraDevice):
     """A :class:`splitknit.devices.CameraDevice` on picamera2."""
 
@@ -289,11 +288,9 @@ class PiCamera(CameraDevice):
         self._settings = settings or PiCameraSettings()
         self._sensor = self._settings.sensor
         self.image_size = self._settings.image_size or self._sensor.image_size
-        self.exposures = ExposureRange(
-            4 * self._sensor.line_s, LONGEST_S, 1.0, self._sensor.max_gain
-        )
+        self.exposures = ExposureRange(4 * self._sensor.line_s, 0.2, 1.0, self._sensor.max_gain)
         self._now_ns = now_ns or (lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME))
-        self._wanted = 0, 0.0, NIR_GAINS
+        self._wanted = 0, 0.0, _NIR_GAINS
         self._camera: Any = None
         models = [str(info.get("Model", "")) for info in picamera2.global_camera_info()]
         require(
@@ -325,7 +322,8 @@ class PiCamera(CameraDevice):
         """See :class:`splitknit.devices.CameraDevice`."""
         self.exposures.check(exposure_s, gain)
         require(band in ("white", "nir"), f"the bands are white and nir, not '{band}'.")
-        gains = WHITE_GAINS if band == "white" else NIR_GAINS
+        # red and blue: a white card is white under white LEDs of 5000 K
+        gains = (1.11, 2.13) if band == "white" else _NIR_GAINS
         exposure_us = round(exposure_s * 1e6)
         # as fast as exposure and reading of the sensor allow
         frame_us = max(exposure_us + 1000, round(self._sensor.frame_s * 1e6))
@@ -343,7 +341,7 @@ class PiCamera(CameraDevice):
         """See :class:`splitknit.devices.CameraDevice`."""
         frame = self.capture()
         rows, columns, channels = frame.pixels.shape
-        factor = max(1, round(columns / PREVIEW_COLUMNS))
+        factor = max(1, round(columns / 800))
         size = (columns // factor, rows // factor)
         # means of whole blocks
         small: Any = cv2.resize(frame.pixels, size, interpolation=cv2.INTER_AREA)
@@ -393,7 +391,7 @@ class PiCamera(CameraDevice):
         and as locked."""
         camera, since_ns = self._opened(), self._now_ns()
         metadata: Mapping[str, Any] = {}
-        for discarded in range(MAX_FRAMES):
+        for discarded in range(_MAX_FRAMES):
             request = camera.capture_request()
             try:
                 metadata = request.get_metadata()
@@ -406,7 +404,7 @@ class PiCamera(CameraDevice):
                 request.release()
         raise BadInput(
             f"the camera did not take its settings: {self._wanted[0]} us at gain"
-            f" {self._wanted[1]:g} were asked for, but after {MAX_FRAMES} frames it reports"
+            f" {self._wanted[1]:g} were asked for, but after {_MAX_FRAMES} frames it reports"
             f" {metadata.get('ExposureTime')} us at gain {metadata.get('AnalogueGain')}; restart"
             f" the Pi, and see that its camera is the {self._settings.camera}."
         )

@@ -1,10 +1,12 @@
 """The camera in a browser while somebody turns the lens: picture, sharpness and histogram, served
-to this computer alone."""
+to whoever on this computer was shown its address."""
 
 from __future__ import annotations
 
 import base64
+import hmac
 import json
+import secrets
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,19 +21,14 @@ from splitknit.devices import Opened
 from splitknit.errors import BadInput, printable
 from splitknit.model import PixelArray
 from splitknit_rig.capture.exposure import (
+    FINGER_PERCENTILE,
+    START_S,
     ExposureSettings,
     exposure_of,
     grey_light,
     measure_focus,
 )
-from splitknit_rig.capture.parameters import (
-    FINGER_PERCENTILE,
-    FOCUS_FIELD_MM,
-    HISTOGRAM_BINS,
-    PATIENCE_S,
-    PREVIEW_PX,
-    START_S,
-)
+from splitknit_rig.capture.session import FOCUS_FIELD_MM
 
 PAGE = Path(__file__).with_name("preview.html")
 
@@ -67,7 +64,7 @@ class Preview:
         sharpness = measure_focus(light[part], everywhere, rig.camera.px_per_mm).sharpness
         self.best = max(self.best, sharpness)
         self.looks += 1
-        counts, _ = np.histogram(light[::4, ::4], HISTOGRAM_BINS, (0.0, 1.0))
+        counts, _ = np.histogram(light[::4, ::4], 64, (0.0, 1.0))
         return {
             "sharpness": round(sharpness, 3),
             "best": round(self.best, 3),
@@ -80,7 +77,7 @@ class Preview:
 
 
 def _jpeg(pixels: PixelArray) -> str:
-    scale = min(1.0, PREVIEW_PX / pixels.shape[1])
+    scale = min(1.0, 640 / pixels.shape[1])
     seen = np.asarray(pixels / (np.iinfo(pixels.dtype).max / 255.0), dtype=np.uint8)[..., ::-1]
     small = cv2.resize(seen, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return base64.b64encode(cv2.imencode(".jpg", small)[1].tobytes()).decode("ascii")
@@ -89,23 +86,28 @@ def _jpeg(pixels: PixelArray) -> str:
 def serve_preview(
     preview: Preview, seconds: float, port: int, ready: Callable[[str], None]
 ) -> None:
-    """Serve the page on 127.0.0.1 for some seconds; `ready` gets its address. Raises BadInput where
-    the port is taken.
+    """Serve the page on 127.0.0.1 for some seconds; `ready` gets its address, which no other user
+    of this computer can guess. Raises BadInput where the port is taken.
 
     One request at a time: the camera takes one picture at a time.
     """
 
+    secret = f"/{secrets.token_urlsafe()}"
+
     class Handler(BaseHTTPRequestHandler):
-        timeout = PATIENCE_S
+        timeout = 2.0  # s
 
         def do_GET(self) -> None:
             """Answer."""
+            folder, _, name = self.path.rpartition("/")
             # another site's page that resolves its own name to this computer
             if self.headers.get("Host") not in hosts:
-                self._answer(403, "text/plain", f"open {address}")
-            elif self.path == "/":
+                self._answer(403, "text/plain", "open the address that the terminal shows")
+            elif not hmac.compare_digest(folder.encode(), secret.encode()):
+                self._answer(404, "text/plain", "open the address that the terminal shows")
+            elif not name:
                 self._answer(200, "text/html; charset=utf-8", PAGE.read_text(encoding="utf-8"))
-            elif self.path == "/look":
+            elif name == "look":
                 try:
                     self._answer(200, "application/json", json.dumps(preview.look()))
                 except BadInput as error:
@@ -135,8 +137,7 @@ def serve_preview(
     with server:
         server.timeout = 0.2
         hosts = {f"{name}:{server.server_port}" for name in ("127.0.0.1", "localhost")}
-        address = f"http://127.0.0.1:{server.server_port}/"
-        ready(address)
+        ready(f"http://127.0.0.1:{server.server_port}{secret}/")
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             server.handle_request()
