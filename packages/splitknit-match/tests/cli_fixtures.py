@@ -14,6 +14,5 @@ from splitknit_simulator.finger.finger import FingerPose
 def impressions(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two impressions of one finger and one of another, as result folders, perfect; not to be
     changed."""
-    pytest.importorskip("nbis")
     turned = FingerPose(insertion_mm=26.0, yaw_rad=0.12, roll_rad=0.05)
     return write_impressions(tmp_path_factory.mktemp("impressions"), 0.27, 731, turned)

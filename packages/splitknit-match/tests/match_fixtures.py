@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import enrolled
-from splitknit_match.matching import methods
 from splitknit_match.prints import from_file, minutiae
 from splitknit_match.prints.pressed import pressed_ridges
 
@@ -31,7 +30,7 @@ def once(function: Callable[..., Any]) -> Callable[..., Any]:
     return called
 
 
-minutiae.nfiq2 = methods.nfiq2 = once(minutiae.nfiq2)
+minutiae.nfiq2 = once(minutiae.nfiq2)
 minutiae.pressed_ridges = from_file.pressed_ridges = once(pressed_ridges)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_match.matching.ridge_band import RidgeBand, ridge_band
 from splitknit_match.matching.template import Template, make_template
 from splitknit_match.matching.thesis import FingerImages, finger_images

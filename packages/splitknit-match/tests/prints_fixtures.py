@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from bodies import Twin
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 

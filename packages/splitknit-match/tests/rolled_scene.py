@@ -7,11 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from splitknit.capture import Band, Capture
 from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.reflection import Glass, Plane
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
-from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
+from splitknit.model import Camera, Led, Mirror, Rig
 from splitknit_match.rolled.views import MirrorView, MirrorViews
 
 A, B, CAP, TOP = 8.0, 6.5, 8.0, -0.5

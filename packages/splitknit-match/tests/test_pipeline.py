@@ -5,26 +5,25 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from kinds import FIGURES, turned
 from splitknit.accuracy import compare
+from splitknit.capture import Band, Capture
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, warp
 from splitknit.imaging.view import view_of
 from splitknit.io.npz import read_npz
 from splitknit.io.provenance import provenance
 from splitknit.io.results import read_result, write_mesh
-from splitknit.methods import thesis
 from splitknit.methods.metric import undoes_blur
-from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig, surface_of
-from splitknit.pipeline import reconstruct
+from splitknit.model import Camera, Led, Rig
+from splitknit.pipeline import located, reconstruct
 from splitknit.presets import PRESETS, PipelineSettings, chosen_settings, preset_settings
+from splitknit.reconstruction import Reconstruction, surface_of
 from splitknit.settings import flatten
-from splitknit.steps import Memory
 from splitknit_match.matching.inputs import read_surface
 from splitknit_match.matching.surface import surface_images
 from splitknit_simulator.finger.finger import FingerPose
@@ -47,8 +46,8 @@ def truth(twin_folder: Path) -> Truth:
 
 
 @pytest.fixture(scope="module")
-def results(capture: Capture, twin_memory: Memory) -> dict[str, Reconstruction]:
-    return {preset: reconstruct(capture, preset, memory=twin_memory) for preset in PRESETS}
+def results(capture: Capture) -> dict[str, Reconstruction]:
+    return {preset: reconstruct(capture, preset) for preset in PRESETS}
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -127,7 +126,6 @@ def test_a_result_states_its_inputs_times_and_light(
     result = results[preset]
     assert result.hashes == capture.hashes
     assert len(result.hashes) == 14 + 2 + 2  # images, ambient, two documents
-    # earlier steps are taken from the shared memory
     assert {"surface", "result"} <= set(result.timings_s)
     assert all(seconds >= 0 for seconds in result.timings_s.values())
     assert set(result.quality) == {"white", "nir"}
@@ -273,12 +271,11 @@ def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, An
 )
 def test_one_setting_changes_one_thing(
     capture: Capture,
-    twin_memory: Memory,
     results: dict[str, Reconstruction],
     change: dict[str, Any],
 ) -> None:
     base = results["snk"]
-    result = reconstruct(capture, "snk", change, memory=twin_memory)
+    result = reconstruct(capture, "snk", change)
     before, after = flatten(base.settings), flatten(result.settings)
     assert {name: after[name] for name in after if after[name] != before[name]} == change
     np.testing.assert_array_equal(result.mask, base.mask)
@@ -355,27 +352,17 @@ def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
 
 
 @pytest.mark.slow
-def test_cases_that_share_a_memory_are_what_they_are_alone(
-    capture: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    results = {preset: reconstruct(capture, preset) for preset in PRESETS}
-    network = Mock(wraps=thesis.direct_light)
-    monkeypatch.setattr(thesis, "direct_light", network)
-    memory = Memory(capture)
-    for preset, alone in results.items():
-        shared = reconstruct(capture, preset, memory=memory)
+def test_presets_that_share_a_located_finger_are_what_they_are_alone(capture: Capture) -> None:
+    finger = located(capture, "snk")
+    for preset in ("snk", "ea", "pr"):
+        shared, alone = (reconstruct(source, preset) for source in (finger, capture))
         for name in ("height_mm", "ridge_mm", "shape_mm", "normals", "albedo", "mask"):
             fields = getattr(shared, name), getattr(alone, name)
             np.testing.assert_array_equal(*fields, err_msg=f"{preset} {name}")
         assert shared.warnings == alone.warnings
         assert shared.quality == alone.quality
-    assert network.call_count == 1  # snk, pr and pr-split share their direct light
-    # other settings of an earlier stage are not taken for the same
-    coarse = {"enhance.cells.tiles": 16}
-    shared = reconstruct(capture, "snk", coarse, memory=memory)
-    np.testing.assert_array_equal(shared.ridge_mm, reconstruct(capture, "snk", coarse).ridge_mm)
-    with pytest.raises(BadInput, match="another"):
-        reconstruct(replace(capture), "ea", memory=memory)
+    with pytest.raises(BadInput, match="located by other settings"):
+        reconstruct(finger, "ea", {"yaw": "all_rows"})
 
 
 def test_unknown_presets_settings_and_bands_are_refused(capture: Capture) -> None:

@@ -1,5 +1,5 @@
-"""Whose finger it is: prints, matching, galleries, records of other systems, presentation attacks,
-error rates. What stands in ``__init__.pyi`` may be imported.
+"""Whose finger it is: prints, matching, galleries, records of other systems, error rates. What
+stands in ``__init__.pyi`` may be imported.
 """
 
 from splitknit.exports import door

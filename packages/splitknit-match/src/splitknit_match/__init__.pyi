@@ -11,6 +11,7 @@ from splitknit_match.gallery.identify import Identification as Identification
 from splitknit_match.gallery.verbs import identify as identify
 from splitknit_match.matching.match import make_template as make_template
 from splitknit_match.matching.match import match as match
+from splitknit_match.matching.match import prepare as prepare
 from splitknit_match.matching.results import Match as Match
 from splitknit_match.prints.verbs import make_print as make_print
 
@@ -30,4 +31,5 @@ __all__ = [
     "make_print",
     "make_template",
     "match",
+    "prepare",
 ]

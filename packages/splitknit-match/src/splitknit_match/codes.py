@@ -16,17 +16,17 @@ CODES: dict[str, Code] = {
     "odd-resolution": Code(
         "Ridges lie oddly far apart, or close, at the stated resolution.",
         "Give the true resolution (`--resolution-ppi`).",
-        "0 of 280 real prints (validation/prints/any_print.py)",
+        "0 of 320 real prints (validation/prints/any_print.py)",
     ),
     "white-ridges": Code(
-        "The ridges of a print were white, and have been turned dark.",
-        "Check the picture.",
-        "0 of 280 real prints (validation/prints/any_print.py)",
+        "The ridges of a print are light, and have been turned dark.",
+        "If they are not, say so (`--ridges dark`).",
+        "0 of 320 real prints (validation/prints/any_print.py)",
     ),
     "unknown-polarity": Code(
-        "Nothing beside a print shows whether its ridges are dark.",
-        "Invert the picture if they are white.",
-        "58 of 280 real prints (validation/prints/any_print.py)",
+        "A print does not show whether its ridges are dark, and they are taken for dark.",
+        "Say it (`--ridges dark` or `light`); `match` and `identify` compare both.",
+        "58 of 320 real prints (validation/prints/any_print.py)",
     ),
     "latent-print": Code(
         "A print is latent; false match rates are of live fingers.", "Do not rely on the rate."
@@ -129,13 +129,6 @@ CODES: dict[str, Code] = {
     ),
     "numbered-people": Code(
         "The people of an encrypted gallery are numbered in a report.", "Nothing."
-    ),
-    # presentation attacks
-    "unknown-liveness": Code(
-        "Whether a capture shows live skin is unknown.", "See its sentence; capture again."
-    ),
-    "simulated-attacks": Code(
-        "The model of attacks was fitted to simulated fingers only.", "Do not rely on it."
     ),
     # batches and evaluation
     "captures-missing": Code(

@@ -1,49 +1,39 @@
-"""One thread of BLAS while fingers are compared: its matrices are small, and a second thread waits
-more than it works."""
+"""One thread of BLAS once fingers are compared (its matrices are small, and a second thread waits
+more than it works), and properties that threads share."""
 
 from __future__ import annotations
 
 import os
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-_lock = threading.Lock()
-_limits: list[Any] = []
-"""One for each call that runs; the first one's holds."""
+T = TypeVar("T")
 
 
 @cache
-def _libraries() -> Any:
-    from threadpoolctl import ThreadpoolController  # the command line needs none of it
+def one_blas_thread() -> None:
+    """Limit BLAS to one thread, once in a process; whoever wants more sets it again afterwards.
 
-    return ThreadpoolController()
-
-
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Limit BLAS to one thread until the last of the calls that run at the same time ends.
-
-    OpenBLAS takes a change from the thread alone that began it: where another one ends last, the
-    limit stays.
+    OpenBLAS takes a change only from the thread that made the first one, or from the main thread
+    (0.3.31), so that a limit for the duration of a call would not hold in every thread.
     """
     if os.environ.get("OPENBLAS_NUM_THREADS") == "1":
-        yield
         return
-    with _lock:
-        _limits.append(_limits[0] if _limits else _libraries().limit(limits=1, user_api="blas"))
-    try:
-        yield
-    finally:
-        with _lock:
-            limit = _limits.pop()
-            if not _limits:
-                limit.restore_original_limits()
+    from threadpoolctl import threadpool_limits  # the command line needs none of it
+
+    threadpool_limits(limits=1, user_api="blas")
 
 
-if hasattr(os, "register_at_fork"):  # another thread of the parent may hold it
-    os.register_at_fork(
-        before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release
-    )
+class made_once(Generic[T]):  # noqa: N801 - a decorator
+    """A property that is computed when first read, by any number of threads: the standard one's
+    lock lets one of all objects do so at a time before Python 3.12."""
+
+    def __init__(self, make: Callable[[Any], T]) -> None:
+        """Take what computes the value."""
+        self.make = make
+        self.__doc__ = make.__doc__
+
+    def __get__(self, owner: Any, kind: type | None = None) -> T:
+        value: T = owner.__dict__.setdefault(self.make.__name__, self.make(owner))
+        return value

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from splitknit import steps
+from splitknit.io import paging
 
 JOBS = """
 import os, signal, time
@@ -14,7 +14,7 @@ from pathlib import Path
 from splitknit import workers
 from splitknit.io.atomic import atomic_folder
 
-workers.GRACE_S = 60.0  # however slow this machine is
+workers._GRACE_S = 60.0  # however slow this machine is
 
 def work(job):
     with atomic_folder(f"out/{job}") as folder:
@@ -61,10 +61,10 @@ def test_threads_of_a_worker_share_one_heap(monkeypatch: pytest.MonkeyPatch) -> 
             calls.append((parameter, value))
             return 1
 
-    monkeypatch.setattr(steps.ctypes, "CDLL", Glibc)
-    monkeypatch.setattr(steps.os, "confstr", lambda name: "glibc 2.36", raising=False)
-    steps.one_heap()
+    monkeypatch.setattr(paging.ctypes, "CDLL", Glibc)
+    monkeypatch.setattr(paging.os, "confstr", lambda name: "glibc 2.36", raising=False)
+    paging.one_heap()
     assert calls == [(-8, 1), (-4, 0), (-1, 512 << 20)]
-    monkeypatch.setattr(steps.os, "confstr", lambda name: None, raising=False)
-    steps.one_heap()
+    monkeypatch.setattr(paging.os, "confstr", lambda name: None, raising=False)
+    paging.one_heap()
     assert len(calls) == 3

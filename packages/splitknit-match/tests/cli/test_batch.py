@@ -18,7 +18,7 @@ def test_a_population_on_the_command_line(
     people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store = tmp_path / "store"
-    words = ["batch", str(people), "--out", str(store), "--cases", "ea", "--jobs", "1"]
+    words = f"batch {people} --out {store} --cases ea --jobs 1".split()
     assert main([*words, "--matchers", "ridge", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["reconstructed"] == 4
@@ -50,19 +50,7 @@ def test_a_damaged_copy_is_named_and_done_again(
     it whole."""
     copies, store = tmp_path / "people", tmp_path / "store"
     shutil.copytree(people, copies)
-    words = [
-        "batch",
-        str(copies),
-        "--out",
-        str(store),
-        "--cases",
-        "ea",
-        "--jobs",
-        "1",
-        "--matchers",
-        "ridge",
-        "--json",
-    ]
+    words = f"batch {copies} --out {store} --cases ea --jobs 1 --matchers ridge --json".split()
     whole = {}
     for name in ("S01/session_1/right_index/white_0.png", "S02/session_2/right_index/white_3.png"):
         whole[copies / name] = (copies / name).read_bytes()
@@ -99,12 +87,7 @@ def test_of_damaged_copies_alone_nothing_is_kept(
     shutil.copytree(people, copies)
     for file in copies.rglob("white_1.png"):
         file.write_bytes(b"")
-    assert (
-        main(
-            ["batch", str(copies), "--out", str(tmp_path / "store"), "--cases", "ea", "--jobs", "1"]
-        )
-        == 2
-    )
+    assert main(f"batch {copies} --out {tmp_path}/store --cases ea --jobs 1".split()) == 2
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1
     assert "4 of 4 captures cannot be read" in err and "not compared" in err

@@ -46,5 +46,5 @@ def test_objects_are_reconstructed_each_into_a_folder_of_its_name(tmp_path: Path
 
 def test_a_folder_without_photographs_is_refused(tmp_path: Path, capsys) -> None:
     (tmp_path / "empty" / "a").mkdir(parents=True)
-    words = refusal_of(capsys, "batch", tmp_path / "empty", "--out", tmp_path / "out")
+    words = refusal_of(capsys, f"batch {tmp_path}/empty --out {tmp_path}/out")
     assert "or of folders of photographs" in words

@@ -23,7 +23,7 @@ QUICK = ("--replicates", 40)
 def gallery(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three fingers in two sessions; not to be changed."""
     file = tmp_path_factory.mktemp("evaluate") / "people.skg"
-    assert main(["enroll", str(file), "--population", str(people_folder)]) == 0
+    assert main(f"enroll {file} --population {people_folder}".split()) == 0
     return file
 
 
@@ -34,7 +34,7 @@ def table_of(folder: Path) -> list[dict[str, str]]:
 
 @pytest.mark.slow
 def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> None:
-    facts = facts_of(capsys, "evaluate", "--gallery", gallery, "--out", tmp_path / "report", *QUICK)
+    facts = facts_of(capsys, f"evaluate --gallery {gallery} --out {tmp_path}/report", *QUICK)
     assert facts["system"] == "people"
     counts = facts["systems"]["people"]["comparisons"]
     assert (counts["genuine"], counts["impostor"]) == (3, 12)  # six of them of one session
@@ -65,10 +65,7 @@ def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> 
     # anyone can evaluate the table again
     again = facts_of(
         capsys,
-        "evaluate",
-        "--scores",
-        tmp_path / "report/scores.csv",
-        "--out",
+        f"evaluate --scores {tmp_path}/report/scores.csv --out",
         tmp_path / "again",
         *QUICK,
     )
@@ -86,8 +83,10 @@ def test_failures_to_acquire_give_no_score(gallery: Path, tmp_path: Path, capsys
     file = Path(shutil.copy(gallery, tmp_path / "g.skg"))
     (tmp_path / "none.skt").write_bytes(b"")
     finger = ("--person", "S02", "--finger", "right_index", "--session", "2")
-    facts_of(capsys, "enroll", file, tmp_path / "none.skt", *finger, "--replace")
-    facts = facts_of(capsys, "evaluate", "--gallery", file, "--out", tmp_path / "out", *QUICK)
+    facts_of(capsys, f"enroll {file} {tmp_path}/none.skt", *finger, "--replace")
+    file.chmod(0o644)
+    facts = facts_of(capsys, f"evaluate --gallery {file} --out {tmp_path}/out", *QUICK)
+    assert "readable-by-others" in [finding["code"] for finding in facts["findings"]]
     assert "1 of 6 captures are failures to acquire." in [
         finding["message"] for finding in facts["findings"]
     ]
@@ -106,8 +105,8 @@ def test_no_name_leaves_an_encrypted_gallery(gallery: Path, tmp_path: Path, caps
     file = tmp_path / "g.skg"
     (tmp_path / "key").write_text("0a" * 32)
     (tmp_path / "key").chmod(0o600)
-    facts_of(capsys, "gallery", "export", gallery, "--out", tmp_path / "all")
-    facts_of(capsys, "gallery", "import", file, tmp_path / "all", "--key-file", tmp_path / "key")
+    facts_of(capsys, f"gallery export {gallery} --out {tmp_path}/all")
+    facts_of(capsys, f"gallery import {file} {tmp_path}/all --key-file {tmp_path}/key")
     arguments = ("evaluate", "--gallery", file, "--out", tmp_path / "out", *QUICK)
     assert "is encrypted" in refusal_of(capsys, *arguments)
     facts_of(capsys, *arguments, "--key-file", tmp_path / "key")
@@ -116,9 +115,7 @@ def test_no_name_leaves_an_encrypted_gallery(gallery: Path, tmp_path: Path, caps
     rows = table_of(tmp_path / "out")
     assert {row["subject_a"] for row in rows} == {"P001", "P002"}
     assert (
-        facts_of(capsys, "evaluate", "--gallery", gallery, "--out", tmp_path / "plain", *QUICK)[
-            "eer"
-        ]
+        facts_of(capsys, f"evaluate --gallery {gallery} --out {tmp_path}/plain", *QUICK)["eer"]
         == json.loads((tmp_path / "out/report.json").read_text())["eer"]
     )
 
@@ -126,8 +123,8 @@ def test_no_name_leaves_an_encrypted_gallery(gallery: Path, tmp_path: Path, caps
 def test_bad_input_is_one_sentence(gallery: Path, tmp_path: Path, capsys) -> None:
     single = Path(shutil.copy(gallery, tmp_path / "one.skg"))
     for person in ("S01", "S02"):
-        facts_of(capsys, "gallery", "remove", single, "--person", person, "--session", "2")
-    refusal_text = refusal_of(capsys, "evaluate", "--gallery", single, "--out", tmp_path / "out")
+        facts_of(capsys, f"gallery remove {single} --person {person} --session 2")
+    refusal_text = refusal_of(capsys, f"evaluate --gallery {single} --out {tmp_path}/out")
     assert "two sessions at least" in refusal_text
     assert str(single) in refusal_text
     scores = tmp_path / "scores.csv"

@@ -17,10 +17,10 @@ from enrolled import facts_of, refusal_of, words_of
 from fmr_samples import transaction, type_14
 from perfect_results import write_impressions
 from spiral_prints import PLACES, spiral_print
-from splitknit.imaging.band import decode_table
 from splitknit.io.prints import PrintFile, read_print_png, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import read_result, write_mesh
+from splitknit.observation.stored import decode_table
 from splitknit_match.prints.verbs import PrintFormat
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.print_formats import FORMATS, read_prints
@@ -55,7 +55,7 @@ def similarity_of(capsys, *fingers: Path) -> float:
 
 def enroll(capsys, gallery: Path, source: Path, person: str) -> None:
     owner = ("--person", person, "--finger", "right_index")
-    facts_of(capsys, "enroll", gallery, source, *owner)
+    facts_of(capsys, f"enroll {gallery} {source}", *owner)
 
 
 @pytest.mark.parametrize("to", MINUTIAE)
@@ -110,65 +110,50 @@ def test_other_programs_read_exported_pictures(prints: Path, tmp_path: Path, cap
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("compression", ["png", "wsq", "jp2"])
-@pytest.mark.parametrize("to", ["iso-19794-4", "iso-39794-4"])
-def test_a_compressed_record_is_read_back(
-    prints: Path, tmp_path: Path, capsys, to: str, compression: str
-) -> None:
-    pytest.importorskip("wsq")
-    export(capsys, tmp_path, to, prints / "a.png", compression=compression)
-    (picture,) = read_prints(tmp_path / "out" / f"a.{PICTURES[to]}")
-    assert np.corrcoef(picture.image.ravel(), spiral_print().ravel())[0, 1] > 0.98
-
-
-@pytest.mark.slow
 def test_records_of_all_kinds_are_matched(prints: Path, tmp_path: Path, capsys) -> None:
-    pytest.importorskip("nbis")
     sources = [prints / f"{name}.png" for name in ("a", "again", "other")]
     for to, out in (("iso-19794-2", "iso"), ("ansi-378", "ansi"), ("iso-19794-4", "fir")):
         export(capsys, tmp_path, to, *sources, out=out)
     iso = tmp_path / "iso" / "a.iso"
     ansi = tmp_path / "ansi" / "again.fmr"
     fir = tmp_path / "fir" / "again.fir"
-    match = facts_of(capsys, "match", iso, ansi)
+    match = facts_of(capsys, f"match {iso} {ansi}")
     assert match["method"] == "minutiae"
-    assert match["similarity"] > 100
+    assert match["similarity"] > 4
     assert (match["a"]["kind"], match["a"]["acquired"]) == ("minutiae", True)
     assert match["decision"]["match"]
-    assert similarity_of(capsys, iso, tmp_path / "iso" / "other.iso") < 40
-    assert similarity_of(capsys, iso, fir) > 40
-    by_ridges = facts_of(capsys, "match", prints / "a.png", fir, "--method", "ridge")
+    assert similarity_of(capsys, iso, tmp_path / "iso" / "other.iso") < 2
+    assert similarity_of(capsys, iso, fir) > 3
+    by_ridges = facts_of(capsys, f"match {prints}/a.png {fir} --method ridge")
     assert by_ridges["method"] == "ridge"
-    assert "a.iso: 50 minutiae\n" in words_of(capsys, "match", iso, ansi)
-    refusal = refusal_of(capsys, "match", iso, ansi, "--method", "ridge")
+    assert "a.iso: 50 minutiae\n" in words_of(capsys, f"match {iso} {ansi}")
+    refusal = refusal_of(capsys, f"match {iso} {ansi} --method ridge")
     assert "no ridges; compare by the method minutiae" in refusal
-    facts_of(capsys, "match", iso, "--template", tmp_path / "a.skt")
-    # not with the first: bozorth3's first comparison in a process may differ
+    facts_of(capsys, f"match {iso} --template {tmp_path}/a.skt")
     assert similarity_of(capsys, tmp_path / "a.skt", ansi) == similarity_of(capsys, iso, ansi)
 
 
 @pytest.mark.slow
 def test_a_gallery_of_minutiae(prints: Path, tmp_path: Path, capsys) -> None:
-    pytest.importorskip("nbis")
     export(capsys, tmp_path, "iso-19794-2", prints / "a.png", prints / "other.png", out="iso")
     gallery = tmp_path / "m.skg"
     enroll(capsys, gallery, tmp_path / "iso" / "a.iso", "Ann")
     enroll(capsys, gallery, tmp_path / "iso" / "other.iso", "Bob")
     for probe in (prints / "again.png", tmp_path / "iso" / "a.iso"):
-        report = facts_of(capsys, "identify", gallery, probe)
+        report = facts_of(capsys, f"identify {gallery} {probe}")
         assert (report["by"], report["decision"]["match"]) == ("minutiae", True)
         ann, bob = report["candidates"]
         assert (ann["person"], bob["person"]) == ("Ann", "Bob")
-        assert ann["similarity"] > 100
-        assert bob["similarity"] < 40
-    assert "by minutiae" in words_of(capsys, "identify", gallery, prints / "again.png")
+        assert ann["similarity"] > 3
+        assert bob["similarity"] < 2
+    assert "by minutiae" in words_of(capsys, f"identify {gallery} {prints}/again.png")
     enroll(capsys, gallery, prints / "again.png", "Ann")
-    assert facts_of(capsys, "gallery", "info", gallery)["captures"] == 3
+    assert facts_of(capsys, f"gallery info {gallery}")["captures"] == 3
     plain = tmp_path / "plain"
-    facts_of(capsys, "gallery", "export", gallery, "--out", plain)
-    assert facts_of(capsys, "gallery", "import", tmp_path / "copy.skg", plain)["new"] == 3
+    facts_of(capsys, f"gallery export {gallery} --out {plain}")
+    assert facts_of(capsys, f"gallery import {tmp_path}/copy.skg {plain}")["new"] == 3
     out = tmp_path / "back"
-    refusal = refusal_of(capsys, "export", gallery, "--to", "iso-19794-2", "--out", out)
+    refusal = refusal_of(capsys, f"export {gallery} --to iso-19794-2 --out {out}")
     assert "a database, such as a gallery" in refusal
 
 
@@ -178,14 +163,14 @@ def test_ridges_and_minutiae_are_not_mixed(prints: Path, tmp_path: Path, capsys)
     ridges = tmp_path / "r.skg"
     enroll(capsys, ridges, prints / "a.png", "A")
     owner = ("--person", "A", "--finger", "right_index")
-    assert "a gallery of their own" in refusal_of(capsys, "enroll", ridges, record, *owner)
-    assert "keeps ridges" in refusal_of(capsys, "identify", ridges, record)
+    assert "a gallery of their own" in refusal_of(capsys, f"enroll {ridges} {record}", *owner)
+    assert "keeps ridges" in refusal_of(capsys, f"identify {ridges} {record}")
 
 
 @pytest.mark.slow
 def test_export_and_print_of_a_result_agree(people_folder: Path, tmp_path: Path, capsys) -> None:
     result = people_folder / "S01" / "session_1" / "right_index"
-    facts_of(capsys, "print", result, "--out", tmp_path / "print")
+    facts_of(capsys, f"print {result} --out {tmp_path}/print")
     export(capsys, tmp_path, "iso-19794-2", result, tmp_path / "print")
     record = (tmp_path / "print" / "minutiae.iso").read_bytes()
     assert (tmp_path / "out" / "right_index.iso").read_bytes() == record
@@ -201,7 +186,7 @@ def test_prints_are_imported(prints: Path, tmp_path: Path, capsys) -> None:
     two.write_bytes(transaction(*records))
     export(capsys, tmp_path, "ansi-378", prints / "a.png", out="ansi")
     record = tmp_path / "ansi" / "a.fmr"
-    facts = facts_of(capsys, "import", two, record, "--out", tmp_path / "in")
+    facts = facts_of(capsys, f"import {two} {record} --out {tmp_path}/in")
     assert [(file["file"], file["finger"]) for file in facts["files"]] == [
         ("two-1.png", "left_thumb"),
         ("two-2.png", "right_thumb"),
@@ -209,12 +194,12 @@ def test_prints_are_imported(prints: Path, tmp_path: Path, capsys) -> None:
     ]
     image = read_print_png(tmp_path / "in" / "two-1.png").image
     np.testing.assert_array_equal(image, spiral_print())
-    refusal = refusal_of(capsys, "match", two, prints / "a.png")
+    refusal = refusal_of(capsys, f"match {two} {prints}/a.png")
     assert "holds 2 prints; take them apart with 'splitknit import'" in refusal
 
 
 def test_a_print_is_printed_at_500_ppi(prints: Path, tmp_path: Path, capsys) -> None:
-    facts = facts_of(capsys, "print", prints / "fine.png", "--out", tmp_path / "out")
+    facts = facts_of(capsys, f"print {prints}/fine.png --out {tmp_path}/out")
     assert (facts["method"], facts["size"], facts["ppi"]) == ("file", [500, 380], 500)
     assert facts["findings"] == []
     (view,) = read_minutiae_record(tmp_path / "out" / "minutiae.iso")
@@ -243,7 +228,7 @@ def test_prints_without_ridges_are_failures_to_acquire(tmp_path: Path, capsys) -
     facts = export(capsys, tmp_path, "iso-19794-2", blank)
     assert facts["failures_to_acquire"] == ["blank.iso"]
     assert read_minutiae_record(tmp_path / "out" / "blank.iso")[0].count == 0
-    words = words_of(capsys, "export", blank, "--to", "ansi-378", "--out", tmp_path / "again")
+    words = words_of(capsys, f"export {blank} --to ansi-378 --out {tmp_path}/again")
     assert "failure to acquire" in words
 
 
@@ -327,7 +312,7 @@ def test_an_object_becomes_a_solid_a_model_and_maps(tmp_path: Path, capsys) -> N
     assert [file["file"] for file in maps] == ["coin-height.png", "coin-normals.png"]
     assert maps[0]["pitch"] == pytest.approx(0.2)
     for options in (["obj", "--base", 2], ["stl", "--normals", "directx"]):
-        refusal = refusal_of(capsys, "export", coin, "--out", tmp_path / "none", "--to", *options)
+        refusal = refusal_of(capsys, f"export {coin} --out {tmp_path}/none --to", *options)
         assert "is of --to" in refusal
 
 
@@ -341,22 +326,22 @@ def test_records_state_quality_and_owner(prints: Path, tmp_path: Path, capsys) -
 def test_a_record_is_described_with_what_it_holds(prints: Path, tmp_path: Path, capsys) -> None:
     export(capsys, tmp_path, "iso-19794-2", prints / "a.png", out="iso")
     record = tmp_path / "iso" / "a.iso"
-    facts = facts_of(capsys, "records", "what", record)
+    facts = facts_of(capsys, f"records what {record}")
     assert facts["what"] == "ISO/IEC 19794-2:2005"
     assert facts["holds"][0]["minutiae"] == 50
     export(capsys, tmp_path, "iso-39794-4", prints / "a.png", out="fim")
-    words = words_of(capsys, "records", "what", tmp_path / "fim" / "a.fim")
+    words = words_of(capsys, f"records what {tmp_path}/fim/a.fim")
     assert "ISO/IEC 39794-4" in words
     assert "380 x 500 pixels, 500 ppi" in words
     (tmp_path / "cut.iso").write_bytes(record.read_bytes()[:100])
-    assert "truncated" in facts_of(capsys, "records", "what", tmp_path / "cut.iso")["damage"]
+    assert "truncated" in facts_of(capsys, f"records what {tmp_path}/cut.iso")["damage"]
 
 
 def test_files_that_are_no_records_are_described(prints: Path, tmp_path: Path, capsys) -> None:
-    facts_of(capsys, "match", prints / "a.png", "--template", tmp_path / "a.skt")
+    facts_of(capsys, f"match {prints}/a.png --template {tmp_path}/a.skt")
     (tmp_path / "x").write_bytes(b"GIF89a")
     for name, what in (("a.skt", "template of splitknit"), ("x", "of an unknown kind")):
-        facts = facts_of(capsys, "records", "what", tmp_path / name)
+        facts = facts_of(capsys, f"records what {tmp_path}/{name}")
         assert what in facts["what"]
         assert facts["holds"] == []
-    assert "does not exist" in refusal_of(capsys, "records", "what", tmp_path / "none")
+    assert "does not exist" in refusal_of(capsys, f"records what {tmp_path}/none")

@@ -26,7 +26,7 @@ def gallery(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
         (people_folder / "S02/session_1/right_index", "Bob", "right_index"),
         (none, "Cid", "right_index"),
     ):
-        assert main(["enroll", str(file), str(source), "--person", person, "--finger", finger]) == 0
+        assert main([*f"enroll {file} {source} --person".split(), person, "--finger", finger]) == 0
     return file
 
 
@@ -37,7 +37,7 @@ def probe(people_folder: Path) -> Path:
 
 
 def test_the_right_one_is_first(gallery: Path, probe: Path, capsys) -> None:
-    facts = facts_of(capsys, "identify", gallery, probe)
+    facts = facts_of(capsys, f"identify {gallery} {probe}")
     first, second = facts["candidates"]
     assert (first["rank"], first["person"], first["finger"], first["session"]) == (
         1,
@@ -61,25 +61,25 @@ def test_the_right_one_is_first(gallery: Path, probe: Path, capsys) -> None:
     assert decision["threshold"] == similarity_at(1e-4)
     assert decision["expected_false_matches"] == pytest.approx(4e-4)
     # similarities are those of `splitknit match`
-    match = facts_of(capsys, "match", probe, probe.parents[1] / "session_1/right_index")
+    match = facts_of(capsys, f"match {probe} {probe.parents[1]}/session_1/right_index")
     assert first["similarity"] == pytest.approx(match["similarity"], abs=1e-9)
 
 
 def test_nobody_is_a_fact(gallery: Path, probe: Path, tmp_path: Path, capsys) -> None:
     file = Path(shutil.copy(gallery, tmp_path / "g.skg"))
-    facts_of(capsys, "gallery", "remove", file, "--person", "Bob")
-    facts = facts_of(capsys, "identify", file, probe)
+    facts_of(capsys, f"gallery remove {file} --person Bob")
+    facts = facts_of(capsys, f"identify {file} {probe}")
     assert not facts["decision"]["match"]
     assert [candidate["person"] for candidate in facts["candidates"]] == ["Ann"]
-    assert words_of(capsys, "identify", file, probe).startswith(
+    assert words_of(capsys, f"identify {file} {probe}").startswith(
         "No match: nobody is similar enough (decided at a false"
     )
     for person in ("Ann", "Cid"):
-        facts_of(capsys, "gallery", "remove", file, "--person", person)
-    empty = facts_of(capsys, "identify", file, probe)
+        facts_of(capsys, f"gallery remove {file} --person {person}")
+    empty = facts_of(capsys, f"identify {file} {probe}")
     assert empty["candidates"] == []
     assert not empty["decision"]["match"]
-    assert "nothing to compare with" in words_of(capsys, "identify", file, probe)
+    assert "nothing to compare with" in words_of(capsys, f"identify {file} {probe}")
 
 
 def test_one_candidate_for_a_person_a_finger_or_a_capture(
@@ -88,7 +88,7 @@ def test_one_candidate_for_a_person_a_finger_or_a_capture(
     probe = people_folder / "S01/session_1/left_thumb"
 
     def names_of(*more: object) -> list[str]:
-        candidates = facts_of(capsys, "identify", gallery, probe, *more)["candidates"]
+        candidates = facts_of(capsys, f"identify {gallery} {probe}", *more)["candidates"]
         assert [candidate["rank"] for candidate in candidates] == list(
             range(1, len(candidates) + 1)
         )
@@ -113,64 +113,61 @@ def test_one_candidate_for_a_person_a_finger_or_a_capture(
 
 def test_verification(gallery: Path, probe: Path, capsys) -> None:
     claim = ("--person", "Bob", "--finger", "right_index")
-    facts = facts_of(capsys, "identify", gallery, probe, *claim)
+    facts = facts_of(capsys, f"identify {gallery} {probe}", *claim)
     assert facts["mode"] == "verification"
     assert facts["searched"]["captures"] == 1
     assert facts["decision"]["match"]
-    assert words_of(capsys, "identify", gallery, probe, *claim).startswith("Verified: Bob")
+    assert words_of(capsys, f"identify {gallery} {probe}", *claim).startswith("Verified: Bob")
     false = ("--person", "Ann")
-    assert words_of(capsys, "identify", gallery, probe, *false).startswith("Not verified: Ann")
-    assert facts_of(capsys, "identify", gallery, probe, *false)["searched"]["compared"] == 3
+    assert words_of(capsys, f"identify {gallery} {probe}", *false).startswith("Not verified: Ann")
+    assert facts_of(capsys, f"identify {gallery} {probe}", *false)["searched"]["compared"] == 3
 
 
 def test_decisions_at_other_rates(gallery: Path, probe: Path, tmp_path: Path, capsys) -> None:
     file = Path(shutil.copy(gallery, tmp_path / "g.skg"))
-    facts_of(capsys, "gallery", "remove", file, "--person", "Bob")
-    best = facts_of(capsys, "identify", file, probe)["candidates"][0]
-    lenient = facts_of(capsys, "identify", file, probe, "--fmr", min(0.9, 1.01 * best["fmr"]))
+    facts_of(capsys, f"gallery remove {file} --person Bob")
+    best = facts_of(capsys, f"identify {file} {probe}")["candidates"][0]
+    lenient = facts_of(capsys, f"identify {file} {probe} --fmr", min(0.9, 1.01 * best["fmr"]))
     assert lenient["decision"]["match"]  # as many other fingers are accepted as was asked for
-    strict = facts_of(capsys, "identify", file, probe, "--fmr", 0.9 * best["fmr"])
+    strict = facts_of(capsys, f"identify {file} {probe} --fmr", 0.9 * best["fmr"])
     assert not strict["decision"]["match"]
     assert strict["decision"]["threshold"] > best["similarity"] >= lenient["decision"]["threshold"]
 
 
 def test_failures_to_acquire_match_nobody(gallery: Path, tmp_path: Path, capsys) -> None:
     (tmp_path / "none.skt").write_bytes(b"")
-    facts = facts_of(capsys, "identify", gallery, tmp_path / "none.skt")
+    facts = facts_of(capsys, f"identify {gallery} {tmp_path}/none.skt")
     assert facts["candidates"] == []
     assert not facts["decision"]["match"]
     assert not facts["probe"]["acquired"]
-    assert "failure to acquire" in words_of(capsys, "identify", gallery, tmp_path / "none.skt")
-    claim = facts_of(capsys, "identify", gallery, tmp_path / "none.skt", "--person", "Cid")
+    assert "failure to acquire" in words_of(capsys, f"identify {gallery} {tmp_path}/none.skt")
+    claim = facts_of(capsys, f"identify {gallery} {tmp_path}/none.skt --person Cid")
     assert not claim["decision"]["match"]
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["NOWHERE", "PROBE"], "there is no gallery"),
-        (["GALLERY", "NOWHERE"], "there is no"),
-        (["PROBE", "GALLERY"], "is not a file"),
-        (["GALLERY", "PROBE", "--person", "Nobody"], "holds nothing of person 'Nobody'"),
+        ("NOWHERE PROBE", "there is no gallery"),
+        ("GALLERY NOWHERE", "there is no"),
+        ("PROBE GALLERY", "is not a file"),
+        ("GALLERY PROBE --person Nobody", "holds nothing of person 'Nobody'"),
         (
-            ["GALLERY", "PROBE", "--person", "Bob", "--finger", "left_thumb"],
+            "GALLERY PROBE --person Bob --finger left_thumb",
             "person 'Bob' and finger 'left_thumb'",
         ),
-        (["GALLERY", "PROBE", "--finger", "nose"], "is not a finger"),
-        (["GALLERY", "PROBE", "--fmr", "0"], "--fmr must lie"),
-        (["GALLERY", "PROBE", "--fmr", "nan"], "--fmr must lie"),
-        (["GALLERY", "PROBE", "--fmr", "1e-9"], "rates below"),
-        (["GALLERY", "PROBE", "--top", "0"], "--top must be at least 1"),
-        (["GALLERY", "PROBE", "--set", "search.candidates=0"], "--set"),
+        ("GALLERY PROBE --finger nose", "is not a finger"),
+        ("GALLERY PROBE --fmr 0", "--fmr must lie"),
+        ("GALLERY PROBE --fmr nan", "--fmr must lie"),
+        ("GALLERY PROBE --fmr 1e-9", "rates below"),
+        ("GALLERY PROBE --top 0", "--top must be at least 1"),
+        ("GALLERY PROBE --set search.candidates=0", "--set"),
     ],
 )
 def test_bad_input_is_one_sentence(
     gallery: Path, probe: Path, tmp_path: Path, capsys, *, arguments, words
 ) -> None:
     names = {"GALLERY": gallery, "PROBE": probe, "NOWHERE": tmp_path / "NOWHERE"}
-    assert words in refusal_of(capsys, "identify", *(names.get(word, word) for word in arguments))
-
-
-def test_the_old_name_of_resolution_is_refused(gallery: Path, probe: Path, capsys) -> None:
-    words = refusal_of(capsys, "identify", gallery, probe, "--input-ppi", "500")
-    assert "'--input-ppi' left the program: it is '--resolution-ppi' now" in words
+    assert words in refusal_of(
+        capsys, "identify", *(names.get(word, word) for word in arguments.split())
+    )

@@ -51,7 +51,7 @@ def test_an_own_matcher_decides_by_its_own_rates(tmp_path: Path, capsys) -> None
     scores = ["label,score", *(f"0,{score:.4f}" for score in rng.normal(0, 0.1, 300)), *["1,1"] * 9]
     (tmp_path / "scores.csv").write_text("\n".join(scores) + "\n")
     rates, out = str(tmp_path / "rates.json"), str(tmp_path / "report")
-    words = ["evaluate", "--scores", str(tmp_path / "scores.csv"), "--out", out]
+    words = [*f"evaluate --scores {tmp_path}/scores.csv --out".split(), out]
     words += ["--calibrate", rates, "--method", "mine:compare", "--least-mm2", "0"]
     assert main(words) == 0
     for number, answer in ((0, "match"), (1, "no match")):
@@ -88,7 +88,7 @@ def test_names_that_are_none_are_refused() -> None:
 
 @pytest.mark.slow
 def test_a_batch_takes_both(people: Path, tmp_path: Path, capsys) -> None:
-    words = ["batch", str(people), "--out", str(tmp_path / "store"), "--jobs", "1", "--json"]
+    words = f"batch {people} --out {tmp_path}/store --jobs 1 --json".split()
     words += ["--cases", "mine:plain"]
     assert main([*words, "--matchers", "mine:compare"]) == 0
     facts = json.loads(capsys.readouterr().out)

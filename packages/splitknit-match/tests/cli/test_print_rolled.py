@@ -10,9 +10,9 @@ import pytest
 
 import rolled_scene as scene
 from enrolled import facts_of, refusal_of
+from splitknit.capture import Capture
 from splitknit.findings import Finding
 from splitknit.io.capture import write_capture
-from splitknit.model import Capture
 from splitknit_match.prints.verbs import _print_lines
 from written_files import read_ply
 
@@ -31,7 +31,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     monkeypatch.setattr("splitknit_match.prints.rolled.find_mirror_views", lambda *_: views)
     monkeypatch.setattr("splitknit_match.rolled.finger.PITCH_MM", 0.07)  # quicker
     out = tmp_path / "out"
-    facts = facts_of(capsys, "print", tmp_path / "capture", "--method", "rolled", "--out", out)
+    facts = facts_of(capsys, f"print {tmp_path}/capture --method rolled --out {out}")
     assert facts["surface"] == "free"
     assert {"print.png", "rolled.ply", "report.json"} <= set(facts["files"])
     rolled = facts["rolled"]
@@ -57,7 +57,7 @@ def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> 
     bare = replace(capture, rig=replace(capture.rig, mirrors=()))
     write_capture(bare, tmp_path / "bare")
     out = tmp_path / "out"
-    message = refusal_of(capsys, "print", tmp_path / "bare", "--method", "rolled", "--out", out)
+    message = refusal_of(capsys, f"print {tmp_path}/bare --method rolled --out {out}")
     assert "no mirrors beside the finger" in message
     assert not out.exists()
 
@@ -65,17 +65,11 @@ def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> 
 def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(
     tmp_path: Path, capsys
 ) -> None:
-    message = refusal_of(capsys, "print", tmp_path, "--method", "rolled", "--out", tmp_path / "out")
+    message = refusal_of(capsys, f"print {tmp_path} --method rolled --out {tmp_path}/out")
     assert "not a capture folder" in message
     message = refusal_of(
         capsys,
-        "print",
-        tmp_path,
-        "--method",
-        "rolled",
-        "--surface",
-        "plane",
-        "--out",
+        f"print {tmp_path} --method rolled --surface plane --out",
         tmp_path / "out",
     )
     assert "cannot be printed on the plane" in message
@@ -87,7 +81,7 @@ def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) ->
     capture, out = tmp_path / "capture", tmp_path / "out"
     finger = ("--seed", 105, "--scale", 0.6, "--no-nir")
     mirrors = ("--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]")
-    facts_of(capsys, "simulate", "--out", capture, *finger, *mirrors)
-    rolled = facts_of(capsys, "print", capture, "--method", "rolled", "--out", out)["rolled"]
+    facts_of(capsys, f"simulate --out {capture}", *finger, *mirrors)
+    rolled = facts_of(capsys, f"print {capture} --method rolled --out {out}")["rolled"]
     assert rolled["coverage_deg"]["median"] > 160
     assert set(rolled["views"]) == {"front", "left", "right"}

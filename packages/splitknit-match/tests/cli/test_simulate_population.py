@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from enrolled import refusal_of
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
 from splitknit.io.enrolment import FINGERS, open_enrolment
@@ -42,17 +43,12 @@ Captured = pytest.CaptureFixture[str]
 
 
 def words(out: Path, *more: str, small: tuple[str, ...] = SMALL) -> list[str]:
-    return ["simulate", "population", "--out", str(out), *small, *more]
+    return [*f"simulate population --out {out}".split(), *small, *more]
 
 
 def refused(capsys: Captured, *arguments: str) -> str:
     capsys.readouterr()
-    assert main(list(arguments)) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("splitknit: error: ")
-    assert err.count("\n") == 1
-    return err
+    return refusal_of(capsys, *arguments)
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -220,9 +216,7 @@ def test_a_plan_may_grow(population: Path, tmp_path: Path, capsys: Captured) -> 
 
 def test_finished_populations_are_left_alone(population: Path, capsys: Captured) -> None:
     before = digests(population)
-    assert (
-        main(["simulate", "population", "--out", str(population), "--scale", "0.08", "--json"]) == 0
-    )
+    assert main(f"simulate population --out {population} --scale 0.08 --json".split()) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["simulated"], facts["seconds_per_capture"]) == (0, None)
     assert digests(population) == before

@@ -110,21 +110,6 @@ def test_only_the_seed_changes_an_interval(method: str) -> None:
     assert all(figure.low <= figure.value <= figure.high for figure in first.figures.values())
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_clusters_give_wider_intervals_where_fingers_differ(seed: int) -> None:
-    scores = population(seed, sessions=4, spread=1.5)
-    plain, finger = (bootstrap(scores, method, FEW).figures for method in PLAIN_AND_FINGER)
-    for name in ("eer", "gar@0.01", "auc", "d_prime"):
-        assert width(finger[name]) > width(plain[name])
-    assert width(finger["d_prime"]) > 1.25 * width(plain["d_prime"])
-
-
-def test_clusters_change_little_where_fingers_do_not_differ() -> None:
-    scores = population(4, fingers=60, spread=0.0)
-    plain, finger = (bootstrap(scores, method, FEW).figures["auc"] for method in PLAIN_AND_FINGER)
-    assert 0.6 < width(finger) / width(plain) < 1.6
-
-
 @pytest.mark.slow
 def test_plain_intervals_cover_the_truth() -> None:
     generator = np.random.default_rng(11)
@@ -200,15 +185,6 @@ def test_failures_are_not_errors_of_the_matcher() -> None:
     assert figures["gar@0.01_made"].low == pytest.approx(1 - 3 / 40)
     assert figures["gar@0.01"].value == pytest.approx(2 / 3)
     assert figures["gar@0.01"].high < 0.85
-
-
-def test_failures_count_as_rejections_of_their_clusters() -> None:
-    scores = population(2)
-    score = scores.score.copy()
-    score[np.flatnonzero(scores.label)[:9]] = np.nan
-    figures = bootstrap(replace(scores, score=score), "finger", FEW).figures
-    assert figures["gar@0.01"].value == pytest.approx(figures["gar@0.01_made"].value * 0.9)
-    assert figures["gar@0.01"].high <= figures["gar@0.01_made"].high
 
 
 @pytest.mark.parametrize("method", METHODS)

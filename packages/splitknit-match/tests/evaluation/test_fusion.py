@@ -9,8 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from splitknit.errors import BadInput
-from splitknit_match.evaluation.fusion import fit_linear, fit_logistic, fit_minmax, fuse
-from splitknit_match.evaluation.parameters import PENALTY
+from splitknit_match.evaluation.fusion import PENALTY, fit_linear, fit_logistic, fit_minmax, fuse
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit_match.evaluation.rates import roc
 from splitknit_match.evaluation.scores import Scores, ids_of
@@ -150,13 +149,6 @@ def test_the_pair_at_fault_is_named() -> None:
             fuse([first, second.taken(taken)])
     with pytest.raises(BadInput, match="did not score the same pairs"):
         fuse([first, replace(second, finger=None)])
-
-
-def test_the_order_of_pairs_does_not_matter() -> None:
-    two = systems(2)
-    order = np.random.default_rng(1).permutation(two[0].label.size)
-    shuffled = two[1].taken(order)
-    assert np.array_equal(fuse([two[0], shuffled]).scores.score, fuse(two).scores.score)
 
 
 def test_folds_are_of_fingers_where_there_are_no_subjects() -> None:

@@ -11,11 +11,13 @@ import pytest
 
 import splitknit
 from script_folder import VALIDATION, scripts_of
+from splitknit.capture import Band, Capture
 from splitknit.cli.main import main
 from splitknit.finger.steady import find_steady_finger
-from splitknit.imaging.polarised import specular_of, without_films
-from splitknit.model import Band, Capture, Reconstruction
+from splitknit.observation.films import specular_of
+from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
+from splitknit.reconstruction import Reconstruction
 
 pytestmark = pytest.mark.slow
 
@@ -43,13 +45,17 @@ def test_motion_between_the_series_is_measured_to_micrometres(
     ]
     crossed = replace(band, pixels=np.stack(pixels)) if any(moved_mm) else band
     moved = replace(capture, bands=capture.bands | {"white_crossed": crossed})
-    steady, finger = find_steady_finger(moved, preset_settings("metric"))
-    assert (steady is moved) == (not any(moved_mm))
+    lit = observe(moved)
+    steady, finger = find_steady_finger(lit, preset_settings("metric"))
+    assert (steady is lit) == (not any(moved_mm))
     shift = np.array(finger.facts["motion_white_crossed"]["shift_mm"]) - moved_mm
     assert np.hypot(*shift.T).max() < (0.009 if any(moved_mm) else 0.0045)
     assert np.hypot(*shift.mean(axis=0)) < (0.0055 if any(moved_mm) else 0.0015)
     inside = finger.mask
-    specular, still = (specular_of(without_films(series), inside) for series in (steady, capture))
+    specular, still = (
+        specular_of(series.without_films().white, inside, px)
+        for series in (steady, observe(capture))
+    )
     assert np.corrcoef(specular[inside], still[inside])[0, 1] > 0.97
 
 

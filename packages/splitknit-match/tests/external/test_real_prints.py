@@ -12,9 +12,11 @@ from splitknit.io.prints import read_print_png
 from splitknit_match import enroll, identify
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
+from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.ridge import Prepared
-from splitknit_match.prints.minutiae import extract, minutiae_match
-from splitknit_match.prints.minutiae_record import pack_minutiae, unpack_minutiae
+from splitknit_match.prints.from_file import minutiae_of
+from splitknit_match.prints.pressed import pressed_ridges
+from splitknit_match.records.minutiae_files import read_minutiae_record
 
 pytestmark = pytest.mark.external
 KEPT = (1, 2, 3, 5, 7)
@@ -56,14 +58,25 @@ def test_ridges_and_minutiae_are_no_worse_than_nbis_py(files) -> None:
     assert fused >= reference > 0.7
 
 
-def test_unenhanced_minutiae_give_the_scores_of_nbis_py(files) -> None:
-    """Also after packing."""
-    extractor, some = nbis_py(), files[::6]
-    theirs = [extractor.extract_minutiae(file.read_bytes()) for file in some]
-    extracted = [extract(read_print_png(file).image, edge_mm=0.0) for file in some]
-    ours = [unpack_minutiae(pack_minutiae(minutiae)) for minutiae in extracted]
-    for i, j in itertools.product(range(len(some)), repeat=2):
-        assert minutiae_match(ours[i], ours[j]) == theirs[i].compare(theirs[j])
+@pytest.mark.parametrize(
+    ("name", "highest"), [("fvc2002_db1b", 5), ("fvc2002_db2b", 3), ("fvc2004_db4b", 6)]
+)
+def test_records_of_another_vendor_are_matched(data_dir, name: str, highest: float) -> None:
+    """Equal error rate, percent, of 140 genuine and 640 impostor pairs."""
+    folder = data_dir / "iso_templates" / name
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is absent")
+    sides = [
+        (file.stem[:3], minutiae_of(read_minutiae_record(file)[0]))
+        for file in sorted(folder.glob("*.iso"))
+    ]
+    pairs = [
+        (a[0] == b[0], minutiae_match(a[1], b[1])) for a, b in itertools.combinations(sides, 2)
+    ]
+    genuine, impostor = (np.array([s for same, s in pairs if same == kind]) for kind in (1, 0))
+    assert (genuine.size, impostor.size) == (140, 640)
+    rates = [max((genuine < s).mean(), (impostor >= s).mean()) for s in np.unique(genuine)]
+    assert 100 * min(rates) <= highest
 
 
 def test_touches_of_a_laptops_sensor_are_matched_at_their_resolution(data_dir, tmp_path) -> None:
@@ -78,3 +91,26 @@ def test_touches_of_a_laptops_sensor_are_matched_at_their_resolution(data_dir, t
     for number in (1, 2):
         probe = folder / "match" / f"{number}.tiff"
         assert identify(gallery, probe, resolution_ppi=350).answer == "match"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    [
+        "fvc2000_db2b", "fvc2000_db3b", "fvc2002_db2b", "fvc2002_db3b", "fvc2004_db1b",
+        "fvc2004_db2b", "fvc2004_db3b",
+    ],
+)  # fmt: skip
+def test_sheets_of_several_prints_are_refused_and_no_print(name: str, data_dir) -> None:
+    folder = data_dir / "fvc" / name
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is absent")
+    prints = [read_print_png(folder / f"{finger}_1.png").image for finger in range(101, 106)]
+    assert not any(pressed_ridges(image).several for image in prints)
+    gap = np.full((prints[0].shape[0], 20), 255, np.uint8)
+    for parts in (prints[:2], [prints[2], gap, prints[3]], [prints[4], gap, prints[0], prints[1]]):
+        assert len({part.shape[0] for part in parts}) == 1
+        sheet = np.concatenate(parts, axis=1)
+        assert pressed_ridges(sheet).several
+        with pytest.raises(BadInput, match="prints of several fingers"):
+            print_template(sheet)

@@ -10,18 +10,19 @@ import cv2
 import numpy as np
 import pytest
 
+from splitknit.capture import Band, Capture
 from splitknit.cli.main import main
-from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import write_capture
 from splitknit.io.light_list import read_light_list
 from splitknit.io.photographs import GivenPhotographs
-from splitknit.io.plain import capture_from_photographs
-from splitknit.model import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
+from splitknit.model import BoolArray, Camera, Led, Rig
+from splitknit.observation.observe import observe
+from splitknit.observation.plain import capture_from_photographs
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.pipeline import reconstruct
+from splitknit.reconstruction import Reconstruction
 from splitknit.report.result import FILES
-from splitknit.steps import Memory
 
 pytestmark = pytest.mark.external
 
@@ -94,16 +95,6 @@ def phalange(data_dir: Path) -> Capture:
     return capture_from_photographs(photographs).capture
 
 
-@pytest.fixture(scope="module")
-def memory_of_phalange(phalange: Capture) -> Memory:
-    return Memory(phalange)
-
-
-@pytest.fixture(scope="module")
-def memory_of_ball(ball: tuple[Capture, np.ndarray]) -> Memory:
-    return Memory(ball[0])
-
-
 def assert_complete(result: Reconstruction, mask: BoolArray) -> None:
     np.testing.assert_array_equal(result.mask, mask)  # a given mask is used as it is
     for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
@@ -142,9 +133,8 @@ def test_normals_of_the_bear_are_near_the_scanned_ones(
     error = angle_deg(result.normals, truth, capture.mask)
     assert error < limit_deg
     if preset == "metric":
-        white = capture.bands["white"]
-        stack = linear_stack(white, capture.encoding)
-        normals, _ = robust(stack, capture.rig.select(white.leds).light_vectors(), capture.mask)
+        white = observe(capture).white
+        normals, _ = robust(white.grey, white.rig.light_vectors(), capture.mask)
         assert error < angle_deg(normals, truth, capture.mask) + 0.5
 
 
@@ -152,9 +142,8 @@ def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, n
     """They are kept, as integration adds to the error of `ea`."""
     capture, truth = bear
     result = reconstruct(capture, "ea")
-    white = capture.bands["white"]
-    lights = capture.rig.select(white.leds).light_vectors()
-    plain, _ = lambertian(linear_stack(white, capture.encoding), lights, capture.mask)
+    white = observe(capture).white
+    plain, _ = lambertian(white.grey, white.rig.light_vectors(), capture.mask)
     measured = result.normals_measured
     np.testing.assert_allclose(measured[capture.mask], plain[capture.mask], atol=1e-6)
     error_deg = angle_deg(measured, truth, capture.mask)
@@ -177,24 +166,21 @@ def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, n
 )
 def test_heights_of_the_ball_are_within_a_few_per_cent_of_its_radius(
     ball: tuple[Capture, np.ndarray],
-    memory_of_ball: Memory,
     preset: str,
     changes: dict[str, str],
     limit: float,
 ) -> None:
     """Though the camera's response is unknown and its lens not orthographic."""
     capture, sphere = ball
-    result = reconstruct(capture, preset, changes, memory=memory_of_ball)
+    result = reconstruct(capture, preset, changes)
     assert_complete(result, capture.mask)
     error = (result.height_mm - sphere)[np.isfinite(sphere)]
     assert error.std() < limit * np.nanmax(sphere)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_phalange_is_a_finger_with_ridges(
-    phalange: Capture, memory_of_phalange: Memory, preset: str
-) -> None:
-    result = reconstruct(phalange, preset, memory=memory_of_phalange)
+def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, preset: str) -> None:
+    result = reconstruct(phalange, preset)
     assert_complete(result, phalange.mask)
     middle = result.ridge_mm[250:450, 500:700]
     window = np.outer(np.hanning(200), np.hanning(200))
@@ -223,7 +209,7 @@ def test_the_command_line_segments_the_phalange_without_its_mask(
     document = json.loads((folder / "capture.json").read_text())
     del document["mask"]
     (folder / "capture.json").write_text(json.dumps(document))
-    assert main(["reconstruct", str(folder), "--out", str(out), "--json"]) == 0
+    assert main(f"reconstruct {folder} --out {out} --json".split()) == 0
     facts = json.loads(capsys.readouterr().out)
     of_fingers = {"print.png", "phalange.ply"}  # an opaque thing is not a finger
     assert {path.name for path in out.iterdir()} >= {*FILES, "surface.ply"} - of_fingers
@@ -235,10 +221,11 @@ def test_the_command_line_segments_the_phalange_without_its_mask(
     # its lamps stand in one plane, 3 units high: by their distances their light differs by 11 %
     messages = {each["code"]: each["message"] for each in facts["findings"]}
     assert "touches a border of the image" in messages.pop("outline-at-border")  # where it enters
+    assert "a lobe of gloss" in messages.pop("glossy")
     (brightness,) = messages.values()
     assert "may differ in brightness, by 11 %" in brightness
     assert not (out / "print.png").exists()
-    assert main(["print", str(out), "--method", "relief", "--out", str(tmp_path / "print")]) == 0
+    assert main(f"print {out} --method relief --out {tmp_path}/print".split()) == 0
     prints = cv2.imread(str(tmp_path / "print" / "print.png"), cv2.IMREAD_GRAYSCALE)
     assert 0.3 < (prints < 128).mean() < 0.6  # ridges and valleys
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
+import resource
 import signal
 import sqlite3
 import stat
+import struct
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +28,7 @@ from splitknit_match.gallery.file import (
     NewCapture,
     session_order,
 )
+from splitknit_match.gallery.verbs import gallery_remove
 from splitknit_match.matching.template import Template, pack
 
 SETTINGS = "5e" * 32
@@ -42,6 +46,11 @@ def payload(seed: int) -> bytes:
 def new(person: str, seed: int = 0, finger: str = "right_index", session: str = "1") -> NewCapture:
     entry = Entry(person, finger, session, "result", f"{seed:064x}", area_mm2=30.0)
     return NewCapture(entry, payload(seed) if seed >= 0 else b"")
+
+
+def driver(key: Key | None):
+    """Module that opens galleries with this key."""
+    return sqlite3 if key is None else pytest.importorskip("sqlcipher3").dbapi2
 
 
 @pytest.fixture(params=["plain", "encrypted"])
@@ -181,8 +190,9 @@ def test_second_copies_in_a_page_go_with_a_removal(tmp_path: Path, table: str, a
     assert b"a second copy of" not in file.read_bytes()
 
 
+@pytest.mark.parametrize("act", ["enrol", "the same again"])
 def test_what_one_could_not_erase_the_next_writer_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str
 ) -> None:
     """As after a kill between a removal and its VACUUM: here a reader is in the way."""
     file, gone = tmp_path / "g.skg", payload(1)[-200:]
@@ -199,8 +209,14 @@ def test_what_one_could_not_erase_the_next_writer_does(
             gallery.remove("Ann")
         assert people(file, None) == ["Bob, right index, session 1"]
         assert gone in file.read_bytes()
-    with GalleryFile(file) as gallery:
-        gallery.add([new("Cid", 3)], SETTINGS)
+    if act == "enrol":
+        with GalleryFile(file) as gallery:
+            gallery.add([new("Cid", 3)], SETTINGS)
+    else:
+        report = gallery_remove(file, person="Ann")
+        assert "what was removed earlier is erased now" in report.lines[0]
+        with pytest.raises(BadInput, match="holds nothing of Ann"):
+            gallery_remove(file, person="Ann")
     assert gone not in file.read_bytes() and b"Ann" not in file.read_bytes()
     assert list(tmp_path.iterdir()) == [file]
 
@@ -348,13 +364,13 @@ def test_other_versions_and_tables_are_refused(tmp_path: Path) -> None:
                 "tables are not a gallery's",
             ),
             (
-                "DROP TRIGGER t; UPDATE about SET template_version = 2",
-                "of version 2, but this program makes version 1",
+                "DROP TRIGGER t; UPDATE about SET template_version = 1",
+                "of version 1, but this program makes version 2",
             ),
             ("DELETE FROM about", "its own record is missing"),
             (
                 "PRAGMA user_version = 3",
-                "version 3, but this program reads version 4; export it with the program",
+                "version 3, but this program reads version 5; export it with the program",
             ),
             (f"PRAGMA application_id = {APPLICATION_ID + 1}", "another program's"),
         ):
@@ -419,15 +435,146 @@ def test_a_file_that_is_replaced_meanwhile_is_left_alone(file: Path, key: Key | 
     assert len(people(file, key)) == 5
 
 
-def test_a_link_in_place_of_the_journal_leads_nowhere(
-    file: Path, key: Key | None, tmp_path: Path
+@pytest.mark.parametrize("end", ["-journal", "-wal", "-shm"])
+@pytest.mark.parametrize("make", [Path.symlink_to, Path.hardlink_to, None])
+def test_what_lies_beside_it_leads_nowhere(
+    file: Path, key: Key | None, tmp_path: Path, end: str, make
 ) -> None:
-    other_file = tmp_path / "other"
+    beside, other_file = Path(f"{file}{end}"), tmp_path / "other"
     other_file.write_bytes(b"not ours" * 1000)
-    Path(f"{file}-wal").symlink_to(other_file)
-    with GalleryFile(file, key) as gallery, pytest.raises(BadInput, match="cannot be opened"):
-        gallery.add([new("Cid", 9)], SETTINGS)
+    if make is None:
+        os.mkfifo(beside)
+    else:
+        make(beside, other_file)
+    with GalleryFile(file, key) as gallery:
+        for act in (gallery.entries, lambda: gallery.add([new("Cid", 9)], SETTINGS)):
+            with pytest.raises(BadInput, match=f"{end}' leads to another file, or is no plain"):
+                act()
     assert other_file.read_bytes() == b"not ours" * 1000
+
+
+@pytest.mark.parametrize("through", ["file", "link"])
+def test_a_journal_deletes_no_other_file(
+    file: Path, key: Key | None, tmp_path: Path, through: str
+) -> None:
+    """SQLite deletes the *super-journal* that the end of a journal names."""
+    magic, victim = bytes.fromhex("d9d505f920a163d7"), tmp_path / "victim"
+    victim.write_bytes(b"not ours")
+    name, opened = os.fsencode(victim), file
+    header = magic + struct.pack(">IIIII", 0, 0, 1, 512, 4096)
+    sums = struct.pack(">II", len(name), sum(name))
+    Path(f"{file}-journal").write_bytes(header.ljust(512, b"\0") + b"page" + name + sums + magic)
+    if through == "link":
+        opened = tmp_path / "link.skg"
+        opened.symlink_to(file)
+    with GalleryFile(opened, key) as gallery:
+        for act in (gallery.entries, lambda: gallery.add([new("Cid", 9)], SETTINGS)):
+            with pytest.raises(BadInput, match="-journal' leads to another file"):
+                act()
+    assert victim.read_bytes() == b"not ours"
+
+
+HUGE = "length(hex(zeroblob(400000000)))"
+HOSTILE = {
+    "check": f"REPLACE(sql, 'UNIQUE (person', 'CHECK({HUGE} > 0), UNIQUE (person')",
+    "generated": f"REPLACE(sql, 'UNIQUE (', 'g INT NOT NULL AS ({HUGE}), UNIQUE (')",
+    "statistics": f"'CREATE TABLE sqlite_stat1(tbl, idx, stat AS ({HUGE}))'",
+}
+"""Statements in place of that of the table of captures."""
+MEMORY = """
+import re, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from test_gallery import KEY, BadInput, GalleryFile
+for path in sys.argv[3:]:
+    try:
+        GalleryFile(path, KEY if sys.argv[2] == "encrypted" else None).entries()
+    except BadInput as error:
+        print(error)
+print(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1])
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read in /proc")
+def test_a_hostile_schema_is_refused_before_it_is_evaluated(file: Path, key: Key | None) -> None:
+    """It would take 1.2 to 2 GB."""
+    files = []
+    for name, statement in HOSTILE.items():
+        path = file.with_name(name)
+        path.write_bytes(file.read_bytes())
+        files.append(str(path))
+        with contextlib.closing(driver(key).connect(path, isolation_level=None)) as raw:
+            for change in () if key is None else (key.pragma,):
+                raw.execute(change)
+            raw.execute("PRAGMA writable_schema=ON")
+            if name == "statistics":
+                raw.execute("UPDATE sqlite_master SET name = 'sqlite_stat1' WHERE name = 'capture'")
+            raw.execute(
+                f"UPDATE sqlite_master SET sql = {statement}"
+                " WHERE name IN ('capture', 'sqlite_stat1')"
+            )
+    kind = "plain" if key is None else "encrypted"
+    process = subprocess.run(
+        [sys.executable, "-c", MEMORY, str(Path(__file__).parent), kind, *files],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    *refused, peak_kb = process.stdout.splitlines()
+    assert len(refused) == 3
+    assert all("its tables are not a gallery's" in line for line in refused)
+    assert int(peak_kb) < 300_000
+
+
+def test_pages_that_no_gallery_has_are_refused(tmp_path: Path) -> None:
+    """Checking a sparse file of 8 TB would take 0.3 GB."""
+    file, pages = tmp_path / "g.skg", 2**28 + 1
+    with GalleryFile(file) as gallery:
+        gallery.add([new("Ann", 1)], SETTINGS)
+    try:
+        os.truncate(file, pages * 4096)
+    except OSError:
+        pytest.skip("the file system has no such files")
+    with file.open("r+b") as stream:
+        stream.seek(28)
+        stream.write(pages.to_bytes(4, "big"))
+    with pytest.raises(BadInput, match="too many pages"):
+        GalleryFile(file).entries()
+
+
+@contextlib.contextmanager
+def full_beyond(size: int) -> Iterator[None]:
+    """No file can grow beyond `size` bytes, which SQLite reports as a full disk does."""
+    before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (before, most))
+
+
+@pytest.mark.parametrize("size", [0, 33_000])
+def test_a_full_disk_is_no_damage(file: Path, key: Key | None, size: int) -> None:
+    """There is no room for the index of the log, or for the log."""
+    with GalleryFile(file, key) as gallery, full_beyond(size):
+        if size:
+            assert len(gallery) == 5
+        else:
+            with pytest.raises(BadInput, match=r"is full, or .* the gallery cannot be read"):
+                gallery.entries()
+        with pytest.raises(BadInput, match=r"is full, or .* the gallery was not changed"):
+            gallery.add([new(f"P{k}", k) for k in range(40)], SETTINGS)
+    assert len(people(file, key)) == 5
+
+
+def test_a_change_that_was_made_is_no_failure_on_a_full_disk(
+    tmp_path: Path, key: Key | None
+) -> None:
+    """There is room for the gallery, not for the index of a log, of 32 kB."""
+    path = tmp_path / "g.skg"
+    with GalleryFile(path, key) as gallery, full_beyond(32_000):
+        assert gallery.add([new("Ann", 1)], SETTINGS) == [True]
+    assert people(path, key) == ["Ann, right index, session 1"]
 
 
 KILLED = """

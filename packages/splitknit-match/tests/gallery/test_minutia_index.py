@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import splitknit_match
+from splitknit import BadInput
 from splitknit_match.gallery.file import Entry, NewCapture
 from splitknit_match.gallery.identify import TEMPLATES_HASH
-from splitknit_match.gallery.minutia_index import MinutiaIndex
+from splitknit_match.gallery.minutia_index import MinutiaIndex, kept_minutiae
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import held
 from splitknit_match.matching.minutia_pairs import pair_minutiae
@@ -102,6 +103,45 @@ def test_steps_make_no_difference(gallery) -> None:
     assert stepwise.nearest(cylinders(seen(5000, 2.0, again=8)), 1) == [rows[60]]
 
 
+def test_damaged_minutiae_are_found_anew_or_harm_nothing(gallery) -> None:
+    some = {row: gallery[row] for row in list(gallery)[:20]}
+    whole = MinutiaIndex(some, Path("g.skg"))
+    entry = whole.minutiae[30]
+    known = dict(whole.minutiae) | {10: b"", 20: b"\x02" + entry[1:], 30: entry[:-1]}
+    again = MinutiaIndex(some, Path("g.skg"), known)
+    assert again.minutiae == whole.minutiae
+    known[30] = entry[:1] + b"\xff" * (len(entry) - 1)
+    probe = cylinders(seen(7, 0.5, again=3))
+    assert MinutiaIndex(some, Path("g.skg"), known).nearest(probe, 1) == [70]
+
+
+def test_nothing_remains_of_the_minutiae_of_a_removed_finger(gallery, tmp_path: Path) -> None:
+    file = tmp_path / "g.skg"
+    with splitknit_match.Gallery(file) as opened:
+        captures = (
+            NewCapture(Entry(person, "right_index", "1", "template", ""), gallery[row])
+            for person, row in (("Ann", 10), ("Bob", 20))
+        )
+        opened.add(captures, TEMPLATES_HASH)
+        minutiae = [kept_minutiae(unpack(gallery[row])) for row in (10, 20)]
+        before = file.read_bytes()
+        assert all(each[-200:] in before for each in minutiae)
+        opened.remove("Ann")
+    left = file.read_bytes()
+    gone = minutiae[0]
+    assert not any(gone[part : part + 16] in left for part in range(1, len(gone) - 16))
+    assert minutiae[1][-200:] in left
+
+
+def test_a_prepared_template_is_compared_as_the_template(gallery) -> None:
+    a, b = gallery[10], gallery[20]
+    ready = splitknit_match.prepare(a)
+    prepared, plain = splitknit_match.match(ready, b), splitknit_match.match(a, b)
+    assert (prepared.similarity, prepared.answer) == (plain.similarity, plain.answer)
+    with pytest.raises(BadInput, match="must be bytes"):
+        splitknit_match.prepare("a.skt")
+
+
 def test_few_minutiae_are_compared_always(gallery) -> None:
     bare = unpack(gallery[0])
     index = MinutiaIndex(
@@ -124,13 +164,14 @@ def test_of_many_those_are_compared_whose_minutiae_agree_best(
         )
         opened.add(captures, TEMPLATES_HASH)
         absent = opened.identify(seen(4000), top=2, fmr=1e-4)
-        assert absent.answer != "match" and absent.searched.compared == 2
+        assert absent.searched.compared == 2
         assert "misses about 1 match in 100" in str(absent.findings[0])
         nearest = opened.identify(seen(7, 0.4, again=2), top=2)
         monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 20)
         exhaustive = opened.identify(seen(7, 0.4, again=2), top=2)
     assert (nearest.searched.compared, exhaustive.searched.compared) == (2, 20)
     assert nearest.candidates[0].person == exhaustive.candidates[0].person == "P7"
+    assert absent.candidates[0].similarity < nearest.candidates[0].similarity - 2
     assert nearest.candidates[0].similarity == exhaustive.candidates[0].similarity
 
 

@@ -42,8 +42,9 @@ def sent(image: np.ndarray) -> str:
 
 
 @pytest.fixture
-def service(tmp_path: Path):
-    """The application on a port of this machine, called by a client of another library."""
+def running(tmp_path: Path):
+    """The application on a port of this machine, called by a client of another library; and its
+    server."""
     with Gallery(tmp_path / "people.skg") as gallery, socket.socket() as place:
         place.bind(("127.0.0.1", 0))
         app = make_app(gallery, TOKEN, tmp_path / "audit", max_body=2_000_000)
@@ -58,9 +59,14 @@ def service(tmp_path: Path):
                 if server.started:
                     break
                 time.sleep(0.05)
-            yield client
+            yield client, server
         server.should_exit = True
         thread.join()
+
+
+@pytest.fixture
+def service(running):
+    return running[0]
 
 
 @pytest.mark.slow
@@ -179,8 +185,8 @@ def test_faults_say_nothing(service, monkeypatch) -> None:
 
 @pytest.mark.slow
 def test_slow_clients_are_let_go_and_no_host_is_believed(service, monkeypatch) -> None:
-    for module in ("serve", "verbs"):
-        monkeypatch.setattr(f"splitknit_match.gallery.{module}.PATIENCE_S", 0.5)
+    for name in ("serve.PATIENCE_S", "verbs.SILENCE_S"):
+        monkeypatch.setattr(f"splitknit_match.gallery.{name}", 0.5)
     place = service.base_url.host, service.base_url.port
     head = (
         f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length:"
@@ -290,6 +296,15 @@ def test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder(
     ]
 
 
+def test_no_answer_names_a_folder_given_as_relative(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "clinic").mkdir()
+    with Gallery("clinic/people.skg") as gallery:
+        (tmp_path / "clinic" / "people.skg").write_bytes(b"no gallery" * 1000)
+        health = serve._health_of(gallery)
+    assert "people.skg" in health["error"] and "clinic" not in health["error"]
+
+
 def test_lines_of_the_audit_file_are_short(service, tmp_path: Path) -> None:
     name = "\N{MUSICAL SYMBOL G CLEF}" * 100_000
     fields = {"finger": "right_index", "template": base64.b64encode(b"x").decode(), "person": name}
@@ -388,6 +403,45 @@ def test_clients_that_are_silent_do_not_hold_the_end(tmp_path: Path, tls: bool) 
     assert len(log) < 1000 and "Traceback" not in log
 
 
+def test_who_fetches_no_answer_is_let_go(running, monkeypatch) -> None:
+    monkeypatch.setattr("splitknit_match.gallery.verbs.SILENCE_S", 0.2)
+    client, server = running
+    asked = b"GET /openapi.json HTTP/1.1\r\nHost: a\r\n\r\n" * 4000
+    with socket.socket() as deaf:
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        deaf.settimeout(1)
+        deaf.connect((client.base_url.host, client.base_url.port))
+        with contextlib.suppress(OSError):  # it reads no further, or has closed
+            deaf.sendall(asked)
+        for _ in range(100):
+            if not server.server_state.connections:
+                break
+            time.sleep(0.1)
+        assert not server.server_state.connections
+    assert client.get("/health").status_code == 200
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tls", [True, False])
+def test_silent_connections_do_not_hold_the_door(tmp_path: Path, tls: bool) -> None:
+    """64 of 1100 come in, and are let go before a client's patience ends."""
+    with served(tmp_path, tls=tls) as (_, port), contextlib.ExitStack() as stack:
+        silent = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), 10))
+            for _ in range(64)
+        ]
+        for _ in range(1036):
+            late = socket.create_connection(("127.0.0.1", port), 10)
+            with late, contextlib.suppress(ConnectionResetError):
+                assert late.recv(1) == b""
+        for connection in silent:
+            assert connection.recv(1) == b""
+        with connected(port, tls) as client:
+            client.sendall(b"GET /health HTTP/1.1\r\nHost: a\r\n\r\n")
+            assert client.recv(15) == b"HTTP/1.1 200 OK"
+    assert (tmp_path / "said").read_text().count("\n") == 1
+
+
 @pytest.mark.slow
 def test_clients_killed_while_they_wait_do_not_hold_the_end(tmp_path: Path) -> None:
     body = json.dumps({"print": sent(press(1))}).encode()
@@ -409,8 +463,8 @@ def test_clients_killed_while_they_wait_do_not_hold_the_end(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_what_it_cannot_serve_with_is_one_sentence(tmp_path: Path) -> None:
-    """A certificate that does not fit, a key that is locked, a port that is taken; a note of an
-    open token."""
+    """A certificate that does not fit, a key that is locked, a port that is taken; notes of an
+    open token and an open gallery."""
     options, token = certificate(tmp_path), tmp_path / "token"
     (tmp_path / "locked.pem").write_bytes(
         b"-----BEGIN ENCRYPTED PRIVATE KEY-----\n"
@@ -428,8 +482,11 @@ def test_what_it_cannot_serve_with_is_one_sentence(tmp_path: Path) -> None:
             assert process.wait(20) == 2
         log = (tmp_path / "said").read_text()
         assert log.count("\n") == 1 and "name PEM files" in log, log
+    (tmp_path / "people.skg").touch()
+    (tmp_path / "people.skg").chmod(0o644)
     with served(tmp_path, "--token-file", str(token), tls=False) as (first, port):
-        assert "note: the token" in (tmp_path / "said").read_text()
+        said = (tmp_path / "said").read_text()
+        assert "note: the token" in said and "note: the gallery" in said
         (tmp_path / "second").mkdir()
         with served(tmp_path / "second", "--port", str(port), tls=False) as (second, _):
             assert second.wait(20) == 2

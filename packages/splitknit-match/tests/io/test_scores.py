@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
 from splitknit_match.evaluation.scores import read_scores
@@ -123,21 +121,3 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         read_scores(tmp_path / "none.csv")
     with pytest.raises(BadInput, match="not a file"):
         read_scores(tmp_path)
-
-
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(
-    st.one_of(
-        st.binary(max_size=60), st.text('label,score10\n"x.\r\x00', max_size=60).map(str.encode)
-    )
-)
-def test_whatever_the_bytes(tmp_path: Path, data: bytes) -> None:
-    for content in (data, b"label,score\n" + data):
-        try:
-            score_file = read_scores(write(tmp_path, content))
-        except BadInput as error:
-            assert "\n" not in str(error)
-        else:
-            assert score_file.scores.label.any() and not score_file.scores.label.all()

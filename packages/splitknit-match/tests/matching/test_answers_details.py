@@ -15,7 +15,6 @@ from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
 from splitknit_match.matching import methods
 from splitknit_match.matching.inputs import Side
-from splitknit_match.matching.parameters import TAIL
 from splitknit_match.matching.results import (
     ComparedSide,
     FmrBasis,
@@ -33,6 +32,7 @@ from splitknit_match.matching.results import (
     one_in,
 )
 from splitknit_match.matching.score import (
+    TAIL,
     FmrTable,
     calibrate_scores,
     dissimilarity,
@@ -90,7 +90,7 @@ def test_lines_of_a_comparison_by_ridges() -> None:
     assert lines[2:] == [
         "Score 0.6123 (1 = the same picture), a match from 0.7000 on.",
         HOW,
-        "Template of 321 bytes (version 1) written to x.skt.",
+        "Template of 321 bytes (version 2) written to x.skt.",
     ]
     undecided = ridges(decision=None, undecided="too small", fmr=None, fmr_basis=None)
     assert match_lines(undecided, scores=True) == [
@@ -171,24 +171,22 @@ def test_lines_of_images_and_of_minutiae() -> None:
     assert match_lines(unknown)[-1] == f"{overlap} 0.00 mm to the right"
     minutiae = Match(
         method="minutiae",
-        a=replace(LEFT, minutiae=31, nfiq2=55),
+        a=replace(LEFT, minutiae=31),
         b=replace(RIGHT, minutiae=30),
-        similarity=41.0,
+        similarity=2.5,
         compared=True,
         undecided="x",
     )
     assert match_lines(minutiae) == [
-        "Undecided: x; its score is 41 (bozorth3: about how many pairs of minutiae fit together).",
-        "a.png: 31 minutiae, quality (NFIQ 2) 55 of 100",
-        "b.png: 30 minutiae, quality (NFIQ 2) unknown",
+        "Undecided: x; its score is 2.50 (agreeing minutiae over the root of those that could"
+        " agree).",
+        "a.png: 31 minutiae",
+        "b.png: 30 minutiae",
     ]
     record = replace(minutiae, b=replace(RIGHT, kind="minutiae", minutiae=7))
     assert match_lines(record)[-1] == "b.png: 7 minutiae"
-    facts = replace(record, b=replace(RIGHT, nfiq2=None)).facts
-    assert facts["b"]["nfiq2"] is None
-    assert "nfiq2" not in replace(record, method="ridge").facts["b"]
+    facts = record.facts
     assert {"fmr", "fmr_missing", "fmr_basis", "decision", "undecided"} <= facts.keys()
-    assert "enhanced" not in facts["b"]
 
 
 def test_notes_stand_in_lines_and_doubts_do_not() -> None:
@@ -198,7 +196,7 @@ def test_notes_stand_in_lines_and_doubts_do_not() -> None:
     assert match_lines(ridges(findings=(note, doubt)))[-1] == f"Please note: {note}"
     template = TemplateMade(LEFT, TemplateFile("x.skt", 5), b"12345", (note,))
     assert (
-        str(template) == f"Please note: {note}\nTemplate of 5 bytes (version 1) written to x.skt."
+        str(template) == f"Please note: {note}\nTemplate of 5 bytes (version 2) written to x.skt."
     )
     assert str(replace(template, template=None)) == f"Please note: {note}"
     assert "payload" not in template.facts
@@ -331,7 +329,6 @@ def test_rates_beyond_the_measured_follow_an_exponential_tail() -> None:
     scores = np.sort(np.random.default_rng(1).exponential(1.0, 2000))
     table = calibrate_scores(scores)
     assert table.impostors == 2000
-    assert table.rounding == 1e-5
     assert table.smallest == pytest.approx(1 / 2001)
     first = next(k for k, rate in enumerate(table.fmr) if rate * 2001 <= TAIL + 1)
     count = table.fmr[first] * 2001 - 1
@@ -349,13 +346,6 @@ def test_rates_beyond_the_measured_follow_an_exponential_tail() -> None:
     )
     # the limit of 95 % of no impostor at all is above the smallest rate
     assert table.beyond(0.01)[0] == table.similarity[-1]
-
-
-def test_rates_of_whole_scores_are_not_rounded() -> None:
-    table = replace(TABLE, method="minutiae_of_prints", similarity=np.array([0.0, 10, 20, 30]))
-    assert table.rounding == 0
-    assert table.threshold(0.01) == 20
-    assert replace(TABLE, method="").rounding == 1e-5
 
 
 def test_calibrated_rates_are_counted() -> None:
@@ -410,6 +400,10 @@ def test_own_rates_come_back_from_their_file(tmp_path: Path) -> None:
         {"impostors": 1e12},
         {"impostors": 100},
         {"impostors": 299},
+        {"impostors": -1},
+        {"impostors": 10**400},
+        {"fmr": {"a": 1}},
+        {"least_mm2": 10**400},
         {"similarity": [*document["similarity"][:-1], 10**400]},
         {"similarity": "x"},
         {"what": None, "impostors": None},
@@ -478,7 +472,9 @@ def test_sides_of_minutiae_are_compared_by_minutiae() -> None:
     assert compared == ComparedSide("x.fmr", "minutiae", 0.0, record.minutiae.acquired)
     with pytest.raises(BadInput, match=r"x\.fmr holds minutiae, no ridges; compare by .* minutiae"):
         methods._template(record)
-    with pytest.raises(BadInput, match=r"x\.png is a template of ridges, which keeps no minutiae"):
+    with pytest.raises(
+        BadInput, match=r"x\.png is a template without minutiae of a print; the method minutiae"
+    ):
         methods.side_minutiae(template)
 
 

@@ -1,4 +1,4 @@
-"""Coarse alignment against plain sums: views, directions, peaks and poses."""
+"""Coarse alignment: near alignments, every pose, the likely one."""
 
 from __future__ import annotations
 
@@ -9,9 +9,14 @@ import numpy as np
 import pytest
 
 from splitknit_match.matching import coarse
-from splitknit_match.matching.coarse import CoarseViews, every_pose, inverse, likely_alignments
+from splitknit_match.matching.coarse import (
+    POSES,
+    CoarseViews,
+    every_pose,
+    inverse,
+    likely_alignments,
+)
 from splitknit_match.matching.elastic import rigid
-from splitknit_match.matching.parameters import BLOCKS, COARSE_GRID_PX, POSES
 from splitknit_match.matching.ridge_band import RidgeBand
 
 
@@ -22,141 +27,10 @@ def texture(seed: int, rows: int, columns: int) -> RidgeBand:
     return RidgeBand(value / value.std(), np.ones(value.shape, bool), 0.1)
 
 
-def waves(angle_rad: float, rows: int = 200, columns: int = 180) -> RidgeBand:
-    """Parallel ridges whose normal is `angle_rad` counter-clockwise from the right."""
-    y, x = np.mgrid[:rows, :columns]
-    value = 1.4 * np.sin(0.8 * (x * np.cos(angle_rad) - y * np.sin(angle_rad)))
-    return RidgeBand(value.astype(np.float32), np.ones(value.shape, bool), 0.1)
-
-
-@pytest.fixture(scope="module")
-def views() -> CoarseViews:
-    return CoarseViews(texture(1, 200, 180))
-
-
-def test_spectra_hold_the_frequencies_of_ridges_alone(views: CoarseViews) -> None:
-    passed = np.abs(views.ridges()) > 0
-    down = np.fft.fftfreq(216, 0.15)
-    across = np.fft.rfftfreq(216, 0.15)
-    expected = [[1.2 < np.hypot(u, v) < 0.5 / 0.15 for u in across] for v in down]
-    np.testing.assert_array_equal(passed, expected)
-
-
-@pytest.mark.parametrize("number", [0, 1, 35, 71])
-def test_a_view_correlates_with_itself_by_one(views: CoarseViews, number: int) -> None:
-    spectrum = views.ridges(number)
-    correlation = np.fft.irfft2(spectrum * spectrum.conj(), s=COARSE_GRID_PX)
-    assert correlation[0, 0] == pytest.approx(1, abs=0.01)
-    assert correlation.argmax() == 0
-    assert spectrum.dtype == np.complex64
-
-
-def test_views_are_whitened_by_the_root_of_their_magnitude(views: CoarseViews) -> None:
-    soft = cv2.warpAffine(
-        views._soft,
-        np.array([[1.5, 0, 89.5 - 1.5 * 107.5], [0, 1.5, 99.5 - 1.5 * 107.5]]),
-        (216, 216),
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-    )
-    spectrum = np.fft.rfft2(soft) / 216
-    magnitude = np.maximum(np.abs(spectrum), 0.05 * np.abs(spectrum).max())
-    expected = np.where(np.abs(views.ridges()) > 0, spectrum / np.sqrt(magnitude), 0)
-    expected *= 216 / np.sqrt(2 * (np.abs(expected) ** 2).sum())
-    np.testing.assert_allclose(views.ridges(), expected, atol=1e-3 * np.abs(expected).max())
-
-
-def test_the_band_is_smoothed_for_the_coarse_grid() -> None:
-    point = RidgeBand(np.zeros((41, 41), np.float32), np.ones((41, 41), bool), 0.1)
-    point.value[20, 20] = 1
-    soft = CoarseViews(point)._soft
-    assert soft.sum() == pytest.approx(1, abs=1e-3)
-    _, column = np.indices(soft.shape) - 20
-    assert (soft * column**2).sum() == pytest.approx(0.6**2, rel=0.05)
-
-
 def test_no_band_makes_no_numbers_that_are_not_finite() -> None:
     nothing = RidgeBand(np.zeros((60, 50), np.float32), np.ones((60, 50), bool), 0.1)
     assert not CoarseViews(nothing).ridges().any()
     assert np.isfinite(CoarseViews(nothing).directions).all()
-
-
-def test_views_turn_round_after_a_whole_turn(views: CoarseViews) -> None:
-    assert views.ridges(144) is views.ridges(0)
-    assert views.ridges(-1) is views.ridges(143)
-
-
-@pytest.mark.parametrize("angle_deg", [0.0, 30.0, 200.0])
-def test_pictures_are_turned_counter_clockwise_about_their_middle(angle_deg: float) -> None:
-    picture = texture(2, 41, 61).value
-    size = 31, 37
-    turned = coarse._turned(picture, np.deg2rad(angle_deg), 1.5, size)
-    assert turned.shape == size
-    cos, sin = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
-    for row, column in ((15, 18), (20, 18), (15, 24), (9, 10)):
-        right, up = 1.5 * (column - 18), 1.5 * (15 - row)
-        # what is seen there lay clockwise before
-        x, y = 30 + cos * right + sin * up, 20 - (cos * up - sin * right)
-        left, top = int(np.floor(x)), int(np.floor(y))
-        fx, fy = x - left, y - top
-        expected = (1 - fy) * ((1 - fx) * picture[top, left] + fx * picture[top, left + 1]) + fy * (
-            (1 - fx) * picture[top + 1, left] + fx * picture[top + 1, left + 1]
-        )
-        assert turned[row, column] == pytest.approx(expected, abs=0.1)
-
-
-@pytest.mark.parametrize("angle_deg", [0.0, 25.0, 90.0, 140.0])
-def test_blocks_hold_the_doubled_directions(angle_deg: float) -> None:
-    spectra = CoarseViews(waves(np.deg2rad(angle_deg))).directions
-    assert spectra.shape == (3, 36, BLOCKS[0], BLOCKS[1] // 2 + 1)
-    scale = np.sqrt(BLOCKS[0] * BLOCKS[1])
-    for number in (0, 3, 20):
-        cosine, sine, fraction = scale * np.fft.irfft2(spectra[:, number], s=BLOCKS)
-        doubled = 2 * np.deg2rad(angle_deg + 5 * number)
-        middle = np.s_[11:16, 10:14]
-        np.testing.assert_allclose(cosine[middle], np.cos(doubled), atol=0.05)
-        np.testing.assert_allclose(sine[middle], np.sin(doubled), atol=0.05)
-        np.testing.assert_allclose(fraction[middle], 1, atol=1e-3)
-        assert abs(fraction[0, 0]) < 1e-3
-        # 20 x 18 mm of blocks of 1.5 mm
-        assert fraction.sum() == pytest.approx(20 * 18 / 1.5**2, rel=0.04)
-
-
-def test_weak_ridges_show_little_direction() -> None:
-    band = waves(0.0)
-    faint = band.value.copy()
-    faint[:, :90] *= 0.1
-    spectra = CoarseViews(replace(band, value=faint)).directions
-    cosine = np.sqrt(BLOCKS[0] * BLOCKS[1]) * np.fft.irfft2(spectra[0, 0], s=BLOCKS)
-    assert cosine[13, 16] == pytest.approx(1, abs=0.02)
-    # a hundredth of the power, over 0.3 of the mean of both middle ones: half of the skin
-    assert 0.01 < cosine[13, 7] < 0.12
-
-
-def test_directions_agree_over_the_root_of_the_overlap() -> None:
-    rng = np.random.default_rng(3)
-    a = rng.normal(size=(3, 2, *BLOCKS))
-    b = rng.normal(size=(3, 1, *BLOCKS))
-    a[2], b[2] = rng.uniform(0, 1, a[2].shape) ** 4, rng.uniform(0, 1, b[2].shape) ** 4
-    product = np.fft.rfft2(a).conj() * np.fft.rfft2(b)
-    scores = coarse._direction_agreement(product)
-    overlaps = np.array(
-        [
-            [
-                [(a[2, n] * np.roll(b[2, 0], (-r, -c), (0, 1))).sum() for c in range(BLOCKS[1])]
-                for r in range(BLOCKS[0])
-            ]
-            for n in range(2)
-        ]
-    )
-    least = 0.2 * overlaps.max()
-    for n in range(2):
-        best = max(
-            sum((a[k, n] * np.roll(b[k, 0], (-r, -c), (0, 1))).sum() for k in (0, 1))
-            / np.sqrt(max(overlaps[n, r, c], least))
-            for r in range(BLOCKS[0])
-            for c in range(BLOCKS[1])
-        )
-        assert scores[n] == pytest.approx(best)
 
 
 def turned_band(band: RidgeBand, angle_deg: float, right_mm: float, up_mm: float) -> RidgeBand:
@@ -167,22 +41,6 @@ def turned_band(band: RidgeBand, angle_deg: float, right_mm: float, up_mm: float
     value = cv2.warpAffine(band.value, matrix, (columns, rows), flags=cv2.INTER_CUBIC)
     valid = cv2.warpAffine(band.valid.astype(np.float32), matrix, (columns, rows)) > 0.99
     return replace(band, value=np.where(valid, value, np.float32(0)), valid=valid)
-
-
-@pytest.mark.parametrize("number", [0, 3, 60, 74, 141])
-def test_the_peak_is_the_shift_of_a_turned_band(number: int) -> None:
-    a = texture(5, 200, 180)
-    b = turned_band(a, 2.5 * number, 1.2, -0.9)
-    peak = coarse._peak(CoarseViews(a), CoarseViews(b).ridges(), number)
-    assert peak.angle_deg == 2.5 * number
-    assert peak.right_mm == pytest.approx(1.2, abs=0.16)
-    assert peak.down_mm == pytest.approx(0.9, abs=0.16)
-    assert 0.5 < peak.height <= 1.01
-    affine = peak.affine(a, b)
-    np.testing.assert_allclose(
-        affine,
-        rigid(a, b, np.deg2rad(2.5 * number), peak.right_mm, peak.down_mm),
-    )
 
 
 @pytest.mark.parametrize(
@@ -260,24 +118,6 @@ def test_every_pose_of_a_part_is_tried(
         assert abs(np.linalg.det(pose[:, :2]) - 1) < 1e-9
         for better in poses[:number]:
             assert np.abs(pose - better).max() > 0.05
-
-
-def test_pictures_of_a_small_print_hold_all_of_it_in_every_pose() -> None:
-    band = texture(6, 61, 80)
-    poses = CoarseViews(band).poses
-    side = int(np.ceil(np.hypot(61, 80) / 1.5)) + 2
-    assert poses.shape == (2, 90, side, side)
-    np.testing.assert_allclose(poses[1].sum(axis=(1, 2)), 61 * 80 / 1.5**2, rtol=0.02)
-    np.testing.assert_allclose(
-        poses[0, 10],
-        coarse._turned(CoarseViews(band)._soft, np.deg2rad(40), 1.5, (side, side)),
-        atol=1e-6,
-    )
-    upright = CoarseViews(band).upright
-    assert upright.shape == (2, 41, 54)
-    np.testing.assert_allclose(
-        upright[0], coarse._turned(CoarseViews(band)._soft, 0, 1.5, (41, 54)), atol=1e-6
-    )
 
 
 def test_the_inverse_leads_back() -> None:

@@ -14,18 +14,17 @@ import pytest
 import splitknit_match
 from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
-from splitknit.model import Surface
+from splitknit.reconstruction import Surface
 from splitknit_match.matching import inputs, methods, thesis
 from splitknit_match.matching import match as match_module
 from splitknit_match.matching.fusion import _FusedMatch
 from splitknit_match.matching.inputs import Pixels, Side, held, is_of_minutiae, read_side
-from splitknit_match.matching.results import Match, MatchDecision, PlaneAlignment, Rated
+from splitknit_match.matching.results import MatchDecision, PlaneAlignment, Rated
 from splitknit_match.matching.ridge import RidgeMatch
 from splitknit_match.matching.score import own_rates_document
 from splitknit_match.matching.template import Template, failed_template, pack
 from splitknit_match.matching.thesis import FingerImages, ImageMatch, ThesisSettings
-from splitknit_match.prints.minutiae import NFIQ2_FAILED
-from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae, pack_minutiae
+from splitknit_match.prints.minutiae_record import KINDS, Minutiae, no_minutiae, pack_minutiae
 
 RIDGES = RidgeMatch(0.5, 0.6, 150.0, 3.0, 1.0, -2.0, compared=True)
 FUSED = _FusedMatch(7.0, 12.0, RIDGES, (0.5, 0.6, 12.0, math.nan))
@@ -41,6 +40,7 @@ def side_of(kind: str, name: str = "a.png", **changes: Any) -> Side:
     template = Template(
         np.zeros((110, 100), np.uint8), np.ones((110, 100), bool), 0.1, some_minutiae()
     )
+    template = replace(template, kind=kind if kind in KINDS else "print")
     picture = np.zeros((9, 9), np.uint8) if kind in ("print", "photo") else None
     return replace(Side(Path(name), kind, None, template, picture), **changes)
 
@@ -59,17 +59,15 @@ def rated(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         return Rated(fmr=1e-4, decision=decision, answer="match")
 
     monkeypatch.setattr(methods, "rate", rate)
-    monkeypatch.setattr(methods, "fused_match", lambda a, b: FUSED)
+    monkeypatch.setattr(methods, "fused_match", lambda a, b, sure: FUSED)
     monkeypatch.setattr(methods, "ridge_match", lambda a, b: RIDGES)
-    monkeypatch.setattr(methods, "fused_photo", lambda a, b, photos: (FUSED, 1.0, 0))
+    monkeypatch.setattr(methods, "fused_photo", lambda *values: (FUSED, 1.0, 0))
     monkeypatch.setattr(methods, "minutiae_match", lambda a, b: 41.0)
-    monkeypatch.setattr(methods, "nfiq2", lambda picture, ppi: 55)
-    monkeypatch.setattr(methods, "extract", lambda picture, ppi: some_minutiae(11))
     return asked
 
 
 def compared(method: str, a: Side, b: Side, **changes: Any) -> Any:
-    options = {"fmr": 0.01, "own": None, "thesis": ThesisSettings(), "known_scale": False}
+    options = {"fmr": 0.01, "own": None, "thesis": ThesisSettings()}
     return methods.compare_sides(method, a, b, **options | changes)
 
 
@@ -80,9 +78,12 @@ def compared(method: str, a: Side, b: Side, **changes: Any) -> Any:
         ("fusion", ("photo", "photo"), "fingerphotos alone"),
         ("fusion", ("photo", "print"), "fingerphotos and prints"),
         ("fusion", ("print", "photo"), "fingerphotos and prints"),
-        ("fusion", ("template", "photo"), "fingerphotos"),
+        ("fusion", ("scaled photo", "photo"), "fingerphotos alone"),
+        ("fusion", ("surface", "print"), "contactless and prints"),
+        ("fusion", ("contactless", "surface"), "contactless alone"),
+        ("fusion", ("contactless", "photo"), "fusion of photographs with surfaces"),
         ("ridge", ("photo", "print"), "ridge on photographs"),
-        ("ridge", ("print", "result"), "ridge"),
+        ("ridge", ("print", "surface"), "ridge"),
     ],
 )
 def test_rates_are_of_what_was_compared(
@@ -110,7 +111,7 @@ def test_photographs_are_tried_at_several_scales(rated: list, monkeypatch) -> No
         (0.98, 0, "it fits best 2 % smaller."),
     ):
 
-        def tried(a: Any, b: Any, photos: list[bool], fit=(FUSED, scale, number)) -> Any:
+        def tried(a: Any, b: Any, photos: list[bool], sure=None, fit=(FUSED, scale, number)) -> Any:
             asked.append((a.template, b.template, photos))
             return fit
 
@@ -125,7 +126,7 @@ def test_photographs_are_tried_at_several_scales(rated: list, monkeypatch) -> No
             assert finding.code == "fingerphoto-scale"
             assert finding.files == (("a.png", "b.png")[number],)
             assert str(finding).endswith(words)
-    compared("fusion", a, b, known_scale=True)
+    compared("fusion", side_of("scaled photo"), b)
     assert len(asked) == 4
     compared("fusion", b, b)
     assert len(asked) == 4
@@ -158,40 +159,35 @@ def test_minutiae_are_counted_and_prints_judged(rated: list, monkeypatch) -> Non
     assert rated[-1] == (41.0, "minutiae_of_prints", None, 0.01, None)
     assert (match.method, match.similarity, match.compared) == ("minutiae", 41.0, True)
     assert (match.a.path, match.b.path) == ("a.fmr", "b.fmr")
-    assert (match.a.minutiae, match.a.nfiq2, match.a.enhanced) == (13, None, False)
+    assert match.a.minutiae == 13
     assert (match.a.acquired, match.a.area_mm2) == (True, 0.0)
     taken = side_of("print", minutiae=some_minutiae(14))
     match = compared("minutiae", taken, record)
-    assert (match.a.minutiae, match.a.nfiq2, match.a.enhanced) == (14, 55, True)
-    monkeypatch.setattr(methods, "nfiq2", lambda picture, ppi: NFIQ2_FAILED)
-    assert compared("minutiae", taken, record).a.nfiq2 is None
+    assert match.a.minutiae == 14
     few = replace(record, minutiae=some_minutiae(9))
     match = compared("minutiae", record, few)
     assert (match.compared, match.answer) == (False, "not acquired")
     assert str(match.findings[0]).endswith(
         "a.fmr holds fewer than ten minutiae (failure to acquire)."
     )
+    surface = side_of("surface", minutiae=some_minutiae(11))
+    assert compared("minutiae", surface, surface).a.minutiae == 11
+    assert rated[-1][1] not in methods.TABLES  # rates of two surfaces were not measured
+    compared("minutiae", surface, record)
+    assert rated[-1][1] == "minutiae_of_prints"
     monkeypatch.setattr(
         "splitknit.finger.ridges.surface_print",
         lambda surface, ppi: np.zeros((3, int(ppi)), np.uint8),
     )
-    surface = side_of("result", surface=SURFACE)
-    match = compared("minutiae", surface, surface)
-    assert rated[-1][1] == "minutiae"
-    assert (match.a.minutiae, match.a.enhanced) == (11, False)
+    surface = side_of("surface", surface=SURFACE)
     assert methods._print_of(surface).shape == (3, 500)
-    compared("minutiae", surface, record)
-    assert rated[-1][1] == "minutiae_of_prints"
 
     def refuse(*values: Any) -> None:
         raise BadInput("no print.")
 
-    monkeypatch.setattr(methods, "extract", refuse)
-    with pytest.raises(BadInput, match=r"a\.png.*no print"):
-        methods.side_minutiae(surface)
     monkeypatch.setattr("splitknit.finger.ridges.surface_print", refuse)
     with pytest.raises(BadInput, match=r"a\.png.*no print"):
-        methods.side_minutiae(surface)
+        methods._print_of(surface)
 
 
 def test_images_of_surfaces_are_compared(rated: list, monkeypatch) -> None:
@@ -302,7 +298,13 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     asked: list[tuple[Any, ...]] = []
 
     def read(
-        finger: Path, preset: str, progress: Any, ppi: Any = None, *, where: Any = None
+        finger: Path,
+        preset: str,
+        progress: Any,
+        ppi: Any = None,
+        *,
+        ridges: str | None = None,
+        where: Any = None,
     ) -> Side:
         asked.append((finger, preset, ppi, where))
         progress("reading", 0.1)
@@ -497,31 +499,3 @@ def test_scores_are_printed_where_they_are_wanted(rated: list, tmp_path: Path) -
         match_module.match_or_make_template(path, template=tmp_path / "b.skt", fmr=0.1)
     template = match_module.match_or_make_template(path, template=tmp_path / "b.skt")
     assert template.template.file == str(tmp_path / "b.skt")
-
-
-@pytest.mark.parametrize(
-    ("finger", "resolution_ppi", "known"),
-    [("print", 400.0, True), ("print", None, False), (np.zeros((9, 9), np.uint8), 500.0, False)],
-)
-def test_a_stated_resolution_is_the_scale_of_a_photograph(
-    reads: list, monkeypatch, finger: Any, resolution_ppi: float | None, known: bool
-) -> None:
-    """Beside an array it is the array's."""
-    handed: dict[str, Any] = {}
-    match = compared_once()
-
-    def compare(*sides: Any, **options: Any) -> Any:
-        handed.update(options)
-        return match
-
-    monkeypatch.setattr(methods, "compare_sides", compare)
-    splitknit_match.match(finger, "photo", resolution_ppi=resolution_ppi)
-    assert handed["known_scale"] is known
-    assert isinstance(reads[0][0], Pixels) == (not isinstance(finger, str))
-
-
-def compared_once() -> Any:
-    """Some comparison."""
-    record = Side(Path("a.fmr"), "minutiae", minutiae=some_minutiae(3))
-    sides = methods.compared_side(record)
-    return Match(method="minutiae", a=sides, b=sides, similarity=0.0, compared=False)

@@ -5,21 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import smoothed
-from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS, preset_settings
 from splitknit.settings import override
-from splitknit.steps import Memory
 
 
 @pytest.mark.slow
-def test_kumar_is_ea_smoothed(twin_capture: Capture, twin_memory: Memory) -> None:
+def test_kumar_is_ea_smoothed(twin_capture: Capture) -> None:
     assert override(PRESETS["kumar"], {"smooth.sigma_mm": 0.0}) == PRESETS["ea"]
-    plain, smooth = (
-        reconstruct(twin_capture, preset, memory=twin_memory) for preset in ("ea", "kumar")
-    )
+    plain, smooth = (reconstruct(twin_capture, preset) for preset in ("ea", "kumar"))
     np.testing.assert_array_equal(smooth.mask, plain.mask)
     inside = plain.mask
     height_mm = smooth.ridge_mm + smooth.shape_mm

@@ -1,9 +1,8 @@
-"""Minutiae: extracted where they are, compared as nbis-py compares, packed and read again."""
+"""Minutiae: extracted where they are, compared, packed and read again."""
 
 from __future__ import annotations
 
 import builtins
-import itertools
 from dataclasses import replace
 
 import cv2
@@ -13,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit_match.matching.minutiae_match import minutiae_match
+from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, nfiq2
 from splitknit_match.prints.minutiae_record import (
     Minutiae,
     no_minutiae,
@@ -112,34 +112,40 @@ def test_minutiae_are_in_pixels_and_in_mm_from_the_middle(
     assert first.x_mm == pytest.approx((first.x_px - (prints[0].shape[1] - 1) / 2) * 0.0508)
 
 
-@pytest.mark.slow
-def test_scores_are_those_of_nbis_py(nbis, prints: list[np.ndarray]) -> None:
-    """With all that mindtct finds, also at the outline."""
-    ours = [extract(image, edge_mm=0.0) for image in prints]
-    extractor = nbis.new_nbis_extractor(
-        nbis.NbisExtractorSettings(
-            min_quality=0.0,
-            get_center=False,
-            check_fingerprint=False,
-            compute_nfiq2=False,
-            ppi=500.0,
-        )
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 10_000),
+    angle=st.floats(-np.pi, np.pi),
+    shift=st.tuples(st.integers(-120, 120), st.integers(-120, 120)),
+    missing=st.floats(0, 0.3),
+)
+def test_turned_shifted_and_missing_minutiae_are_recognised(
+    seed: int, angle: float, shift: tuple[int, int], missing: float
+) -> None:
+    """On both sides some are missing, and others are put in their place."""
+    first = random_minutiae(45, seed)
+    place = (first.x_px - 180 + 1j * (first.y_px - 190)) * np.exp(-1j * angle)
+    rng = np.random.default_rng(seed)
+    moved = replace(
+        first,
+        x_px=np.rint(place.real + 500 + shift[0]).astype(np.int32),
+        y_px=np.rint(place.imag + 500 + shift[1]).astype(np.int32),
+        direction_rad=(first.direction_rad + angle) % (2 * np.pi),
+        size=(1000, 1000),
     )
-    files = [cv2.imencode(".png", image)[1].tobytes() for image in prints]
-    theirs = [extractor.extract_minutiae(file) for file in files]
-    for i, j in itertools.product(range(len(prints)), repeat=2):
-        score = theirs[i].compare(theirs[j])
-        assert minutiae_match(ours[i], ours[j]) == score
-        assert minutiae_match(ours[j], ours[i]) == score
-        assert minutiae_match(unpack_minutiae(pack_minutiae(ours[i])), ours[j]) == score
+    moved = moved.taken(rng.random(45) >= missing)
+    fewer = first.taken(rng.random(45) >= missing)
+    own = minutiae_match(fewer, moved)
+    assert own == minutiae_match(moved, fewer)
+    assert own > 2 > 1.8 > minutiae_match(fewer, random_minutiae(45, seed + 1))  # noqa: PLR0133
 
 
 def test_two_prints_of_a_finger_score_higher_than_those_of_two_fingers(
     minutiae: list[Minutiae],
 ) -> None:
     impostors = ((0, 1), (0, 2), (1, 2), (1, 3), (2, 3))
-    assert minutiae_match(minutiae[0], minutiae[3]) > 60
-    assert max(minutiae_match(minutiae[i], minutiae[j]) for i, j in impostors) < 40
+    assert minutiae_match(minutiae[0], minutiae[3]) > 3
+    assert max(minutiae_match(minutiae[i], minutiae[j]) for i, j in impostors) < 1.8
 
 
 def test_the_order_of_minutiae_does_not_matter(minutiae: list[Minutiae]) -> None:
@@ -148,16 +154,17 @@ def test_the_order_of_minutiae_does_not_matter(minutiae: list[Minutiae]) -> None
     assert minutiae_match(first.taken(order), again) == minutiae_match(first, again)
 
 
-@needs_nbis
 def test_of_too_many_minutiae_the_best_are_compared() -> None:
-    """200 good ones and 50 bad ones among them: the bad ones change nothing."""
-    good, bad = random_minutiae(200, 1), random_minutiae(50, 2)
-    good = replace(good, quality=np.full(200, 80, np.uint8))
+    """100 good ones and 50 bad ones among them: the bad ones change what a print shows at most."""
+    good, bad = random_minutiae(100, 1), random_minutiae(50, 2)
+    good = replace(good, quality=np.full(100, 80, np.uint8))
     names = ("x_px", "y_px", "direction_rad", "type")
     both = [np.concatenate([getattr(bad, name), getattr(good, name)]) for name in names]
-    together = Minutiae(*both, np.repeat(np.array([10, 80], np.uint8), [50, 200]), good.size)
+    together = Minutiae(*both, np.repeat(np.array([10, 80], np.uint8), [50, 100]), good.size)
     for second in (random_minutiae(60, 3), good):
-        assert minutiae_match(together, second) == minutiae_match(good, second)
+        assert minutiae_match(together, second) == pytest.approx(
+            minutiae_match(good, second), rel=0.1
+        )
 
 
 def test_prints_of_1000_ppi_are_resampled(
@@ -166,7 +173,7 @@ def test_prints_of_1000_ppi_are_resampled(
     large = cv2.resize(prints[0], None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     fine = extract(large, 1000.0)
     assert fine.size == prints[0].shape
-    assert minutiae_match(fine, minutiae[0]) > 150
+    assert minutiae_match(fine, minutiae[0]) > 4
 
 
 @needs_nbis
@@ -225,7 +232,7 @@ def test_bad_prints_are_refused(image: np.ndarray, ppi: float, words: str) -> No
 
 
 def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    from splitknit_match.prints.minutiae import _extractor
+    from splitknit_match.prints.minutiae import extractor
 
     real = builtins.__import__
 
@@ -235,10 +242,10 @@ def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.Monke
         return real(name, *rest, **named)
 
     monkeypatch.setattr(builtins, "__import__", refusing)
-    _extractor.cache_clear()
+    extractor.cache_clear()
     with pytest.raises(BadInput, match=r"x86-64 Linux.*method ridge\.$"):
         extract(np.zeros((90, 90), np.uint8))
-    _extractor.cache_clear()
+    extractor.cache_clear()
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -250,7 +257,7 @@ def test_packed_minutiae_come_back(seed: int, count: int) -> None:
         assert np.array_equal(getattr(after, name), getattr(before, name))
     assert after.direction_rad == pytest.approx(before.direction_rad)
     assert after.size == (before.size if count else (0, 0))
-    assert len(pack_minutiae(before)) == (16 + 7 * count if count else 0)
+    assert len(pack_minutiae(before)) == (17 + 7 * count if count else 0)
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.finger.ridges import relief_print
-from splitknit_match.prints.minutiae import edge_distance_mm, extract
-from splitknit_match.prints.parameters import EDGE_MM
+from splitknit_match.prints.minutiae import EDGE_MM, edge_distance_mm, extract
 
 STEP_MM = 25.4 / 500
 

@@ -106,16 +106,6 @@ def test_a_third_of_a_second_impression_matches(templates) -> None:
     assert genuine > max(impostors) + 0.15
 
 
-def test_little_overlap_lowers_the_similarity(templates) -> None:
-    """Two halves of a template that share a strip."""
-    upper = window(templates[0], rows=slice(0, 140), columns=slice(0, 400))
-    lower = window(templates[0], rows=slice(110, 400), columns=slice(0, 400))
-    match = ridge_match(upper, lower)
-    assert match.overlap_mm2 < 60
-    reduced = match.correlation * np.sqrt(match.overlap_mm2 / 60)
-    assert match.similarity == pytest.approx(reduced, abs=1e-6)
-
-
 def test_a_failure_to_acquire_is_not_compared(templates) -> None:
     match = ridge_match(failed_template(), templates[0])
     assert not match.compared

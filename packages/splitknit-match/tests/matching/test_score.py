@@ -7,13 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splitknit.errors import BadInput
 from splitknit_match.matching.score import calibrate_scores, dissimilarity
-
-
-def test_the_thesis_score_is_that_of_its_formula() -> None:
-    assert dissimilarity(0.95, [1.0, 2.0, 3.0]) == pytest.approx(np.exp(-(0.95**4) / 6.0))
-    assert dissimilarity(1.0, [0.0]) == 0.0
 
 
 @given(ratio=st.floats(0.9, 1.0), near=st.floats(0.0, 100.0), further=st.floats(0.001, 100.0))
@@ -33,13 +27,6 @@ def test_false_match_rates_are_never_too_low() -> None:
     assert table(-100.0) == 1.0
     assert np.all(np.diff(table.fmr) < 0)
     assert np.all(np.diff(table.similarity) > 0)
-
-
-def test_few_or_broken_scores_are_refused() -> None:
-    with pytest.raises(BadInput, match="at least 100"):
-        calibrate_scores(np.zeros(99))
-    with pytest.raises(BadInput, match="NaN"):
-        calibrate_scores(np.full(200, np.nan))
 
 
 def test_extrapolated_rates_are_upper_limits() -> None:

@@ -27,6 +27,7 @@ class Ridges:
     """What is used of pressed ridges."""
 
     lacks: str = ""
+    several: bool = False
     image: np.ndarray | None = None
 
 
@@ -149,9 +150,9 @@ def prints_made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, Any]]
     """Pictures that templates were made of."""
     pictures: list[tuple[np.ndarray, Any]] = []
 
-    def template(image: np.ndarray, *, pressed: Any = None) -> Any:
+    def template(image: np.ndarray, *, pressed: Any = None, kind: str) -> Any:
         pictures.append((image, pressed))
-        return failed_template()
+        return replace(failed_template(), kind=kind)
 
     monkeypatch.setattr(inputs, "print_template", template)
     return pictures
@@ -182,9 +183,9 @@ def test_a_photograph_is_a_side_with_its_quality(
     assert prints_made == [(source.flat, "ridges")]
     assert (side.path, side.kind, side.quality, side.surface) == (path, "photo", 61.0, None)
     assert side.picture is source.flat
-    assert side.template.empty
+    assert (side.template.empty, side.template.kind) == (True, "scaled photo")
     assert side.findings == (note.of_file(path),)
-    read_side(path, "metric")
+    assert read_side(path, "metric").template.kind == "photo"
     assert asked[-1] == (path, None, None, "photo")
     assert inputs.is_photo(path)
     monkeypatch.setattr(fingerphoto, "fingerphoto", lambda path: None)
@@ -292,7 +293,7 @@ def test_results_in_memory_and_records_are_sides(monkeypatch, tmp_path: Path) ->
     path = tmp_path / "a.fmr"
     path.write_bytes(b"")
     monkeypatch.setattr(fingerphoto, "fingerphoto", lambda path: None)
-    monkeypatch.setattr(from_file, "read_one_finger", lambda path, ppi: view)
+    monkeypatch.setattr(from_file, "read_one_finger", lambda path, ppi, ridges: view)
     monkeypatch.setattr(from_file, "minutiae_of", lambda view: some_minutiae(5))
     side = read_side(path, "snk")
     assert (side.path, side.kind, side.minutiae.count) == (path, "minutiae", 5)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
@@ -47,21 +45,10 @@ def test_labels_are_those_of_single_pixels(neighbours: int) -> None:
     assert flat.max() == neighbours * (neighbours - 1) + 1
 
 
-def test_a_finger_equals_itself_and_its_score_is_that_of_counting() -> None:
-    a, b = code_side(finger(1)), code_side(finger(2))
-    same = code_match(a, a)
+def test_a_finger_equals_itself() -> None:
+    side = code_side(finger(1))
+    same = code_match(side, side)
     assert (same.similarity, same.ratio, same.shift_px) == (1.0, 1.0, 0)
-    match = code_match(a, b)
-    distance = 0.0
-    for row in range(4):
-        for column in range(3):
-            cut = slice(32 * row, 32 * row + 32), slice(32 * column, 32 * column + 32)
-            first, second = (
-                np.bincount(side.labels["relief"][cut].ravel(), minlength=213) for side in (a, b)
-            )
-            distance += np.abs(first - second).sum()
-    assert match.distances["relief"] == pytest.approx(distance / (4 * 3 * 213))
-    assert match.similarity == pytest.approx(1 - np.mean(list(match.distances.values())))
 
 
 def test_empty_columns_beside_a_finger_change_little() -> None:
@@ -74,13 +61,6 @@ def test_empty_columns_beside_a_finger_change_little() -> None:
     assert match.similarity == pytest.approx(1.0, abs=0.02)
 
 
-def test_sides_of_two_scales_or_below_a_cell_are_refused() -> None:
-    side = code_side(finger(1))
+def test_sides_of_two_scales_are_refused() -> None:
     with pytest.raises(BadInput, match="need one scale"):
-        code_match(side, code_side(finger(1, px_per_mm=30)))
-    with pytest.raises(BadInput, match="smaller than a cell"):
-        code_match(code_side(finger(1, columns=20)), side)
-    image = finger(1)
-    plain = replace(image, channels={"relief": image.channels["relief"]})
-    with pytest.raises(BadInput, match="no channel"):
-        code_match(code_side(plain), side)
+        code_match(code_side(finger(1)), code_side(finger(1, px_per_mm=30)))

@@ -11,7 +11,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
-from splitknit.model import Surface
+from splitknit.reconstruction import Surface
 from splitknit_match.matching import features
 from splitknit_match.matching.surface import MatchingSettings, surface_images, surface_template
 from splitknit_match.matching.thesis import (
@@ -212,38 +212,6 @@ def test_settings_name_known_attributes() -> None:
         assert str(caught.value) == ("thesis.attributes must be of normals, relief, shape_normals.")
     with pytest.raises(BadInput):
         ThesisSettings(gate=1.1)
-
-
-def test_images_smaller_than_a_cell_are_refused() -> None:
-    assert features.cell_px(75.7) == 64
-    assert features.cell_px(20.0) == 17
-    assert features.cell_px(0.1) == 4
-    image = np.zeros((17, 34), np.float32)
-    assert features.cells(image, 20.0) == (17, 1, 2)
-    for small in (image[:16], image[:, :16]):
-        with pytest.raises(BadInput) as caught:
-            features.cells(small, 20.0)
-        assert str(caught.value) == (
-            f"the image of {small.shape} pixels is smaller than a cell of 17 pixels."
-        )
-
-
-def test_labels_rise_with_their_codes() -> None:
-    """One neighbour to the right that is larger is the second pattern, one below it the last."""
-    image = np.zeros((3, 3), np.float32)
-    image[1, 1] = 1
-    labels = {}
-    for name, place in (("right", (1, 2)), ("up", (0, 1)), ("left", (1, 0)), ("down", (2, 1))):
-        changed = image.copy()
-        changed[place] = 2
-        labels[name] = pattern_labels(changed, 4)[1, 1]
-    assert labels == {"right": 1, "up": 2, "left": 4, "down": 7}
-    assert pattern_labels(image, 4)[1, 1] == 0
-    bins = features.uniform_bins()
-    assert len(bins) == 256
-    assert bins[0b11] == 3
-    assert bins[255] == 57
-    assert bins[0b101] == 58
 
 
 def test_the_authors_score_counts_labels_of_cells() -> None:

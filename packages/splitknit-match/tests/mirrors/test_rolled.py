@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import rolled_scene as scene
+from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.finger.locate import FingerSettings
 from splitknit.mirrors.settings import MirrorShapeSettings
-from splitknit.model import Capture
 from splitknit.skin.images import MetricSettings
 from splitknit_match.prints.rolled import _coverage_deg
 from splitknit_match.rolled.finger import Rolled, rolled_finger

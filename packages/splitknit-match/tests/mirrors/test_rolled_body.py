@@ -12,8 +12,11 @@ import rolled_scene as scene
 from rolled_scene import body_between_mirrors
 from splitknit.errors import BadInput
 from splitknit.mirrors.views import Views
-from splitknit_match.rolled.finger import _outside, _radius_of, _rolled_pad, _shape_of
-from splitknit_match.rolled.parameters import ROLL_OF_SHEAR
+from splitknit_match.rolled.finger import (
+    ROLL_OF_SHEAR,
+    _rolled_pad,
+    _shape_of,
+)
 
 RIG = scene.rig()
 MIRRORS = {mirror.name: mirror for mirror in RIG.mirrors}
@@ -92,15 +95,6 @@ def test_a_view_that_ends_beyond_the_rim_of_the_pad_is_refused(masks) -> None:
     near = replace(mirror, corners_mm=tuple((max(x, -27.5), y, z) for x, y, z in mirror.corners_mm))
     with pytest.raises(BadInput, match="cut off at the mirror"):
         body_between_mirrors(views(masks["front"], left=left), replace(RIG, mirrors=(near,)))
-
-
-def test_the_radius_is_where_the_body_ends(masks) -> None:
-    body = body_between_mirrors(views(masks["front"], right=masks["right"]), RIG).body
-    fine = _shape_of(body).chart
-    chart = replace(fine, angle_rad=fine.angle_rad[::8], length_mm=fine.length_mm[::8])
-    radius = _radius_of(body, chart)
-    assert not _outside(body, chart.points(radius - 0.05)).any()
-    assert _outside(body, chart.points(radius + 0.05)).all()
 
 
 def test_a_rolled_finger_is_flat_where_it_rolled_to(masks) -> None:

@@ -9,41 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scipy.special import ellipeinc
 
+from drawn_photo import PAPER, PERIOD_MM, PX_PER_MM, SKIN, drawn
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit_match.prints.fingerphoto import finger_of_photo, fingerphoto, read_fingerphoto
+from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo
-
-HALF, PX_PER_MM, PERIOD_MM = 110.0, 220.0 / 17.0, 0.5
-SKIN, PAPER = (215.0, 160.0, 140.0), (120.0, 130.0, 140.0)
-
-
-def drawn(
-    turn_deg: float = 0.0, *, across: bool = True, minutiae: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Photograph (520, 460, 3) uint8 and mask; ridges run along the finger (`across` is their
-    distance) or round it.
-
-    `minutiae`: so many ridge endings at random places of the pad, as phase dislocations.
-    """
-    row, column = np.indices((520, 460)).astype(np.float64)
-    angle = np.deg2rad(turn_deg)
-    x = np.cos(angle) * (column - 230) - np.sin(angle) * (row - 250)
-    y = np.sin(angle) * (column - 230) + np.cos(angle) * (row - 250)
-    inside = (np.abs(x) < HALF) & ((y > -60) | ((x / HALF) ** 2 + ((y + 60) / HALF) ** 2 < 1))
-    polar = np.arcsin(np.clip(x / HALF, -1, 1))
-    along = HALF * ellipeinc(polar, 1 - 0.8**2) if across else y
-    phase = 2 * np.pi * along / (PERIOD_MM * PX_PER_MM)
-    rng = np.random.default_rng(1)
-    for sign in rng.choice((-1, 1), minutiae):
-        phase += sign * np.arctan2(y - rng.uniform(-100, 160), x - rng.uniform(-80, 80))
-    ridges = 1 + 0.12 * np.cos(phase)
-    light = (0.45 + 0.55 * np.cos(polar)) * ridges
-    picture = np.where(inside[..., None], light[..., None] * SKIN, np.array(PAPER))
-    noisy = picture + np.random.default_rng(0).normal(0, 2, picture.shape)
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8), inside
 
 
 def spacings(image: np.ndarray) -> np.ndarray:
@@ -129,11 +101,15 @@ def photo(tmp_path: Path) -> Path:
     return file
 
 
-def test_only_files_in_colour_are_photographs(photo: Path, tmp_path: Path) -> None:
+def test_only_files_in_colour_are_photographs(
+    photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     grey = tmp_path / "print.png"
     cv2.imwrite(str(grey), cv2.imread(str(photo), cv2.IMREAD_GRAYSCALE))
     assert fingerphoto(photo) is not None
-    assert fingerphoto(grey) is None
+    with monkeypatch.context() as change:
+        change.setattr("splitknit_match.prints.fingerphoto.decode_photo", None)
+        assert fingerphoto(grey) is None  # by its header
     assert fingerphoto(tmp_path / "none.jpg") is None
 
 
@@ -142,7 +118,7 @@ def test_photographs_are_matched_by_rates_of_photographs(
     photo: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert read_fingerphoto(photo, PX_PER_MM).hashes.keys() == {"photo.jpg"}
-    assert main(["match", str(photo), str(photo), "--resolution-ppi", str(25.4 * PX_PER_MM)]) == 0
+    assert main([*f"match {photo} {photo} --resolution-ppi".split(), str(25.4 * PX_PER_MM)]) == 0
     printed = capsys.readouterr().out
     assert "photo.jpg: taken for a photograph of a finger" in printed
     assert "photographs of" in printed
@@ -153,9 +129,9 @@ def test_a_photograph_is_printed_with_its_quality(
     photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert main(["print", str(photo), "--out", str(out), "--method", "relief"]) == 2
+    assert main(f"print {photo} --out {out} --method relief".split()) == 2
     assert "photograph of a finger: its --method is photo" in capsys.readouterr().err
-    assert main(["print", str(photo), "--out", str(out)]) == 0
+    assert main(f"print {photo} --out {out}".split()) == 0
     assert "on the skin laid flat" in capsys.readouterr().out
     assert (out / "minutiae.iso").is_file()
     report = json.loads((out / "report.json").read_text("utf-8"))
@@ -283,3 +259,11 @@ def test_a_pale_ground_without_a_finger_is_refused(
     photo, _ = on_pale_ground(ridge_contrast, finger=finger, shadow=shadow)
     with pytest.raises(BadInput, match="no finger was found"):
         finger_in_photo(photo)
+
+
+def test_a_mask_of_another_size_is_refused_by_its_header(photo: Path, tmp_path: Path) -> None:
+    mask = tmp_path / "mask.png"
+    cv2.imwrite(str(mask), np.full((20, 30), 255, np.uint8))
+    mask.write_bytes(mask.read_bytes()[:50])
+    with pytest.raises(BadInput, match="has 20 x 30 pixels"):
+        read_fingerphoto(photo, PX_PER_MM, PhotoFinger(mask))

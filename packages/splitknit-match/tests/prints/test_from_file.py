@@ -18,6 +18,7 @@ from spiral_prints import PLACES, spiral_print
 from splitknit.errors import BadInput
 from splitknit.io.prints import PrintFile
 from splitknit_match import enroll, identify, match
+from splitknit_match.matching.inputs import held, read_side
 from splitknit_match.prints.from_file import (
     _ridge_period_px,
     minutiae_of,
@@ -148,6 +149,67 @@ def test_white_ridges_are_turned_dark_and_reported(tmp_path: Path) -> None:
     np.testing.assert_array_equal(stored.image, image)
 
 
+def test_ridges_are_turned_only_where_they_are_surely_light(tmp_path: Path) -> None:
+    """A wet print has a ground that is darker than its middle."""
+    file, ground = tmp_path / "scan.png", 60
+    down, right = np.mgrid[-1:1:500j, -1:1:380j]
+    touching = np.clip(3 - 3 * np.hypot(down, right), 0, 1)
+    print_ = ground + (255.0 - spiral_print() - ground) * touching
+    wet = np.pad(np.round(print_).astype(np.uint8), 60, constant_values=ground)
+    file.write_bytes(saved(wet, "PNG", 500))
+    found = read_one_finger(file)
+    assert isinstance(found, PrintFile)
+    np.testing.assert_array_equal(found.image, wet)
+    assert [finding.code for finding in found.findings] == ["unknown-polarity"]
+
+
+@pytest.mark.parametrize("ridges", ["dark", "light"])
+def test_stated_ridges_are_taken_as_stated(ridges: str, tmp_path: Path) -> None:
+    image = spiral_print()
+    file, other = tmp_path / "scan.png", 255 - image
+    for picture in (image, other):
+        file.write_bytes(saved(picture, "PNG", 500))
+        found = read_one_finger(file, ridges=ridges)
+        assert isinstance(found, PrintFile)
+        assert not found.findings
+        np.testing.assert_array_equal(found.image, picture if ridges == "dark" else 255 - picture)
+
+
+def test_ridges_of_arrays_are_dark_unless_stated() -> None:
+    down, right = np.mgrid[-1:1:500j, -1:1:380j]
+    touching = np.clip(3 - 3 * np.hypot(down, right), 0, 1)
+    light = on_paper(np.round((255.0 - spiral_print()) * touching).astype(np.uint8))
+    light[:60], light[-60:], light[:, :60], light[:, -60:] = 0, 0, 0, 0
+    for ridges, picture in ((None, light), ("light", 255 - light)):
+        side = read_side(held(light, 500, ridges), "metric")
+        assert side.findings == ()
+        np.testing.assert_array_equal(side.picture, picture)
+
+
+@pytest.mark.slow
+def test_both_readings_are_compared_where_nothing_shows_which_is_right(tmp_path: Path) -> None:
+    small = spiral_print()[100:200, 100:200]
+    files = [tmp_path / name for name in ("whole.png", "negative.png", "impostor.png")]
+    pictures = (spiral_print(), 255 - small, 255 - small[:, ::-1])
+    for file, picture in zip(files, pictures, strict=True):
+        file.write_bytes(saved(picture, "PNG", 500))
+    whole, negative, impostor = files
+    light = match(negative, whole)
+    assert light.answer == "match"
+    assert [finding.code for finding in light.findings] == ["white-ridges"]
+    upright = match(np.ascontiguousarray(small), whole, resolution_ppi=500)
+    assert light.similarity == pytest.approx(upright.similarity, abs=0.5)
+    assert match(negative, whole, ridges="dark").answer != "match"
+    gallery = tmp_path / "people.skg"
+    enroll(gallery, whole, person="Ann", finger="left_index", ridges="dark")
+    found = identify(gallery, negative)
+    assert found.answer == "match"
+    assert found.candidates[0].similarity == light.similarity
+    for result in (match(impostor, whole), identify(gallery, impostor)):
+        assert result.answer != "match"
+        assert not result.findings
+
+
 def test_ridges_that_end_abruptly_are_of_unknown_polarity(tmp_path: Path) -> None:
     file, window = tmp_path / "scan.png", spiral_print()[120:380, 90:290]
     for image in (window, 255 - window, 255 - on_paper(spiral_print())):
@@ -163,6 +225,15 @@ def test_a_resolution_that_the_ridges_contradict_is_reported(tmp_path: Path) -> 
         findings = read_one_finger(file).findings
         (doubt,) = (finding for finding in findings if finding.severity == "doubt")
         assert f"at {ppi} ppi its ridges are" in str(doubt)
+
+
+def test_ridges_that_lie_close_at_the_stated_resolution_get_a_note() -> None:
+    usual = resolution_doubt(PrintFile(spiral_print(), 560.0, {}))
+    close = resolution_doubt(PrintFile(spiral_print(), 640.0, {}))
+    assert usual is None
+    assert close is not None
+    assert (close.code, close.severity) == ("odd-resolution", "note")
+    assert "at 640 ppi its ridges are 0.3" in str(close)
 
 
 @pytest.mark.parametrize("ppi", [250, pytest.param(1000, marks=pytest.mark.slow)])

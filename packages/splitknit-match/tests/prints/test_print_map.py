@@ -58,16 +58,6 @@ def test_points_come_back_from_the_print(twin: Twin, ppi: float, kind: str) -> N
     assert np.nanpercentile(np.abs(print_map.print_from_input(stored) - pixel), 99) < 0.1
 
 
-def test_directions_are_mirrored_on_the_print(twin: Twin, laid: PrintMap) -> None:
-    middle = np.argwhere(twin.seen.mask).mean(axis=0)[None, ::-1]
-    angles = np.deg2rad([0.0, 30.0, 135.0])
-    points = np.repeat(middle, 3, axis=0)
-    step = 0.5 * np.stack([np.cos(angles), -np.sin(angles)], axis=1)
-    along = laid.print_from_input(points + step) - laid.print_from_input(points - step)
-    on_print = np.arctan2(-along[:, 1], along[:, 0])
-    assert np.abs(np.angle(np.exp(1j * (on_print - (np.pi - angles))))).max() < 0.03
-
-
 def test_points_beside_the_finger_are_nan(laid: PrintMap) -> None:
     assert np.isnan(laid.input_from_print(np.array([[-5.0, 4.0], [0.0, 0.0]]))).all()
     assert np.isnan(laid.print_from_input(np.array([[-4000.0, 12.0], [np.nan, 3.0]]))).all()
@@ -100,16 +90,6 @@ def test_side_size_and_polarity_are_those_of_ink(
     both = printed_field.mask & true.mask
     ratio = np.median(true.frequency_px[both] / printed_field.frequency_px[both])
     assert ratio == pytest.approx(1.0, abs=0.02)
-
-
-def test_true_minutiae_lie_on_the_print(twin: Twin, laid: PrintMap, printed: np.ndarray) -> None:
-    places = laid.print_from_input(twin.seen.landmarks["minutiae_px"])
-    places = places[np.isfinite(places).all(axis=1)]
-    assert len(places) > 30
-    inside = ((places > 0) & (places < np.array(printed.shape)[::-1] - 1)).all(axis=1)
-    assert inside.mean() > 0.9
-    back = laid.input_from_print(places[inside])
-    assert np.isfinite(back).all(axis=1).mean() > 0.9
 
 
 def test_impossible_sizes_are_refused() -> None:

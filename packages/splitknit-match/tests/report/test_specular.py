@@ -13,10 +13,11 @@ import pytest
 import splitknit
 import splitknit_match
 import splitknit_simulator
+from splitknit.capture import Capture
 from splitknit.cli.main import main
 from splitknit.io.images import read_image
 from splitknit.io.results import read_result
-from splitknit.model import Capture, Reconstruction
+from splitknit.reconstruction import Reconstruction
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def folder(
 
 
 def printing(folder: Path, tmp_path: Path) -> list[str]:
-    return ["print", str(folder), "--method", "specular", "--out", str(tmp_path / "p")]
+    return f"print {folder} --method specular --out {tmp_path}/p".split()
 
 
 @pytest.mark.slow

@@ -27,9 +27,12 @@ class Case:
     changes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        fault = f"'{self.name}' cannot be the name of a case: use up to 64 letters, digits,"
         plain = re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", self.name)
-        require(plain is not None, f"{fault} dots, - and _.")
+        require(
+            plain is not None,
+            f"'{self.name}' cannot be the name of a case: use up to 64 letters, digits, dots, - and"
+            " _.",
+        )
         object.__setattr__(self, "changes", dict(self.changes))  # workers receive a copy
         self.settings()
 

@@ -89,7 +89,7 @@ def run_batch(
     impostors, seed : float, int
         Fraction of the comparisons of different fingers that is made, 0 to 1, and which.
     surfaces : bool
-        Keep the surfaces, about 2.3 MB a reconstruction at 30 px/mm: the thesis's matcher needs
+        Keep the surfaces, about 3.7 MB a reconstruction at 30 px/mm: the thesis's matcher needs
         them.
     jobs : int
         Processes at most.
@@ -196,9 +196,11 @@ def _require_readable(facts: dict[str, Any], others: str) -> None:
     unreadable = facts["unreadable"]
     if unreadable:
         first = f"{unreadable[0]['capture']}: {unreadable[0]['reason'].rstrip('.')}"
-        fault = f"{len(unreadable)} of {facts['captures']} captures cannot be read (first: {first})"
-        remedy = "copy them again, or remove them, and run the same again."
-        raise Refused(f"{fault}, {others}; {remedy}", facts)
+        raise Refused(
+            f"{len(unreadable)} of {facts['captures']} captures cannot be read (first: {first}),"
+            f" {others}; copy them again, or remove them, and run the same again.",
+            facts,
+        )
 
 
 def _compare(run: _Run, case: Case, name: str) -> dict[str, Any]:

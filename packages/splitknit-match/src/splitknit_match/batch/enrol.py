@@ -98,8 +98,11 @@ def enroll_population(
     if unread:
         kept = "nothing was enrolled" if not there else "the others are enrolled"
         first = unread[0]["reason"].rstrip(".")
-        fault = f"{len(unread)} of {len(places)} captures cannot be read, {kept} (first: {first})"
-        raise Refused(f"{fault}; repair or remove them, and run the same again.", facts)
+        raise Refused(
+            f"{len(unread)} of {len(places)} captures cannot be read, {kept} (first: {first});"
+            " repair or remove them, and run the same again.",
+            facts,
+        )
     return facts
 
 
@@ -129,10 +132,11 @@ def _found_in(folder: Path) -> list[_Source]:
             first is source,
             f"'{first.path}' and '{path}' are of one finger and session; remove one of them.",
         )
-    expected = (
-        "captures in S01/session_1/right_index (or prints, right_index.png) and so on are expected"
+    require(
+        sources,
+        f"'{folder}' holds nothing to enrol: captures in S01/session_1/right_index (or prints,"
+        " right_index.png) and so on are expected.",
     )
-    require(sources, f"'{folder}' holds nothing to enrol: {expected}.")
     return sorted(
         sources.values(),
         key=lambda source: (source.person, session_order(source.session), source.finger),
@@ -149,11 +153,11 @@ def _waiting(
         known = earlier.get((place.person, place.finger, place.session))
         if known is not None and known == source_hash(place.path):
             continue
-        fault = (
+        require(
+            known is None or replace,
             f"'{place.path}' is not what was enrolled as {place.person}, {place.finger}, session"
-            f" {place.session}"
+            f" {place.session}; give `replace`, or name another gallery.",
         )
-        require(known is None or replace, f"{fault}; give `replace`, or name another gallery.")
         waiting.append(place)
     return waiting
 

@@ -9,19 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import BadInput, read_capture, reconstruct
+from splitknit import BadInput, Capture, read_capture, reconstruct
 from splitknit.errors import BadExposure, require
+from splitknit.finger.locate import FingerSettings
 from splitknit.finger.ridges import surface_print
 from splitknit.io.images import decode_image
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.io.provenance import provenance, settings_hash
-from splitknit.model import surface_of
+from splitknit.methods.photographs import FingerPhotographs
 from splitknit.networks.unet import running
-from splitknit.steps import Memory
+from splitknit.pipeline import located
+from splitknit.presets import chosen_settings
+from splitknit.reconstruction import surface_of
 from splitknit_match.batch.cases import Case
 from splitknit_match.batch.population import CaptureRef
 from splitknit_match.batch.store import TEMPLATES
-from splitknit_match.batch.surfaces import pack_surface
+from splitknit_match.batch.surfaces import write_surface
 from splitknit_match.batch.tables import SUFFIX, read_origin, read_table, write_table
 from splitknit_match.batch.tasks import Done
 from splitknit_match.matching.surface import surface_template
@@ -56,19 +59,20 @@ def reconstruct_capture(
     sound images are black or overexposed is a failure to acquire.
     """
     name = task.capture.name
-    memory, unusable = None, ""
+    capture, unusable = None, ""
     try:
-        memory = Memory(read_capture(population / name, threads=running().threads))
+        capture = read_capture(population / name, threads=running().threads)
     except BadInput as error:
         unusable = str(error).replace(f"{population}/", "")  # the same wherever it lies
         if not isinstance(error, BadExposure):
             return Done(0, unreadable=((name, unusable),))
     failures = []
+    fingers: dict[FingerSettings, FingerPhotographs] = {}
     for case in task.cases:
         row = failed_row(task.capture, unusable)
-        if memory is not None:
-            last = case is task.cases[-1]  # its images may go once they are read
-            row |= _reconstructed(memory, case, surfaces, last)
+        if capture is not None:
+            file = store / "surfaces" / case.name / f"{name}{SUFFIX}" if surfaces else None
+            row |= _reconstructed(capture, fingers, case, file)
         if row["failure"]:
             failures.append(f"{case.name}, {name}: {row['failure']}")
         origin = provenance(case.document(), {name: row["input_sha256"]})
@@ -89,19 +93,29 @@ def failed_row(capture: CaptureRef, failure: str) -> dict[str, Any]:
         "capture": capture.name, "subject": capture.subject, "finger": capture.finger,
         "session": capture.session, "acquired": False, "failure": failure, "area_mm2": 0.0,
         **dict.fromkeys(QUALITY), "warnings": "[]", "input_sha256": "",
-        "template": b"", "print": b"", "images": b"",
+        "template": b"", "print": b"",
     }  # fmt: skip
 
 
-def _reconstructed(memory: Memory, case: Case, surfaces: bool, last: bool) -> dict[str, Any]:
-    """Columns of a reconstruction, or of why there is none."""
-    inputs = {"input_sha256": settings_hash(dict(sorted(memory.capture.hashes.items())))}
-    capture = memory.hand_over() if last else memory.capture
+def _reconstructed(
+    capture: Capture,
+    fingers: dict[FingerSettings, FingerPhotographs],
+    case: Case,
+    surface_file: Path | None,
+) -> dict[str, Any]:
+    """Columns of a reconstruction, or of why there is none; `fingers`: the finger as cases before
+    located it, by their settings; `surface_file`: where its surface is kept."""
+    inputs = {"input_sha256": settings_hash(dict(sorted(capture.hashes.items())))}
+    finding = chosen_settings(case.preset, case.settings())[1].finding()
     try:
-        result = reconstruct(capture, case.preset, case.settings(), memory=memory)
+        if finding not in fingers:
+            fingers[finding] = located(capture, case.preset, case.settings())
+        result = reconstruct(fingers[finding], case.preset, case.settings())
     except BadInput as error:
         return inputs | {"failure": str(error)}
     surface = surface_of(result)
+    if surface_file is not None:
+        write_surface(surface_file, surface, result.height_mm)
     template = surface_template(surface)
     small = "the ridge band that could be acquired is too small for a template."
     texts = provenance_texts(
@@ -115,26 +129,25 @@ def _reconstructed(memory: Memory, case: Case, surfaces: bool, last: bool) -> di
         "warnings": json.dumps(list(result.warnings)),
         "template": pack(template),
         "print": encode_print_png(surface_print(result, PRINT_PPI), PRINT_PPI, texts),
-        "images": pack_surface(surface, result.height_mm) if surfaces else b"",
     }
 
 
 def extract_minutiae(features: Path, target: Path, file: Path) -> Done:
-    """Find the minutiae of all prints of a table of features."""
+    """Find the minutiae of the print of a table of features."""
     table = read_table(file, ["capture", "print"])
-    rows = []
-    for capture, data in zip(table["capture"].tolist(), table["print"].tolist(), strict=True):
+    capture, data = table["capture"][0], table["print"][0]
+    minutiae = no_minutiae()
+    if data:
         name = f"the print of '{capture}' in '{file}'"
-        minutiae = no_minutiae()
-        if data:
-            pixels = decode_image(data, name)
-            require(
-                pixels.shape[2] == 1 and pixels.dtype == np.uint8,
-                f"{name} is not an 8-bit grey image.",
-            )
-            minutiae = extract(np.asarray(pixels[..., 0], dtype=np.uint8))
-        packed = pack_minutiae(minutiae)
-        rows.append({"capture": capture, "acquired": minutiae.acquired, "minutiae": packed})
+        pixels = decode_image(data, name)
+        sound = pixels.shape[2] == 1 and pixels.dtype == np.uint8
+        require(sound, f"{name} is not an 8-bit grey image.")
+        minutiae = extract(np.asarray(pixels[..., 0], dtype=np.uint8))
+    row = {
+        "capture": capture,
+        "acquired": minutiae.acquired,
+        "minutiae": pack_minutiae(minutiae),
+    }
     origin = read_origin(file) | {"kind": "minutiae", "kind_version": _MINUTIAE_VERSION}
-    write_table(target / file.relative_to(features), rows, origin)
+    write_table(target / file.relative_to(features), [row], origin)
     return Done(1)

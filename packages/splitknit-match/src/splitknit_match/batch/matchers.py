@@ -14,20 +14,21 @@ from splitknit.io.images import decode_image
 from splitknit.registry import own_object
 from splitknit_match.batch.store import Place
 from splitknit_match.matching.methods import OwnMatcher
+from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.template import unpack
 from splitknit_match.matching.thesis import (
     ATTRIBUTES,
     FingerImages,
+    ImageMatch,
     ThesisSettings,
     finger_features,
     thesis_match,
 )
 from splitknit_match.matching.thesis_code import CodeSide, code_match, code_side
-from splitknit_match.prints.minutiae import minutiae_match
+from splitknit_match.prints.minutiae import EDGE_MM
 from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
-from splitknit_match.prints.parameters import EDGE_MM
 
 Values = dict[str, float]
 _RIDGE = ("correlation", "overlap_mm2", "rotation_deg")
@@ -76,12 +77,12 @@ def _by_thesis(a: Any, b: FingerImages) -> Values:
     images, features = a
     match = thesis_match(images, b, _THESIS, features)
     chosen = [match.dissimilarity[name] for name in ThesisSettings().attributes]
-    return {
-        "similarity": 1.0 - sum(chosen) / len(chosen),
-        "ratio": match.ratio,
-        "shift_px": float(match.shift_px),
-        **{f"dissimilarity_{name}": value for name, value in match.dissimilarity.items()},
-    }
+    own = {f"dissimilarity_{name}": value for name, value in match.dissimilarity.items()}
+    return _laid(match, 1.0 - sum(chosen) / len(chosen)) | own
+
+
+def _laid(match: ImageMatch, similarity: float) -> Values:
+    return {"similarity": similarity, "ratio": match.ratio, "shift_px": float(match.shift_px)}
 
 
 def _codes(place: Place) -> CodeSide | None:
@@ -91,22 +92,13 @@ def _codes(place: Place) -> CodeSide | None:
 
 def _by_code(a: CodeSide, b: CodeSide) -> Values:
     match = code_match(a, b)
-    return {
-        "similarity": match.similarity,
-        "ratio": match.ratio,
-        "shift_px": float(match.shift_px),
-        **{f"score_{name}": 1.0 - distance for name, distance in match.distances.items()},
-    }
+    own = {f"score_{name}": 1.0 - distance for name, distance in match.distances.items()}
+    return _laid(match, match.similarity) | own
 
 
 def _stored_minutiae(place: Place) -> Minutiae | None:
     minutiae = unpack_minutiae(place.value("minutiae"))
     return minutiae if minutiae.acquired else None
-
-
-def _by_minutiae(a: Minutiae, b: Minutiae) -> Values:
-    score = minutiae_match(a, b)
-    return {"similarity": score, "bozorth3": score}
 
 
 def _print(place: Place) -> NDArray[np.uint8] | None:
@@ -147,12 +139,12 @@ MATCHERS: Mapping[str, Matcher] = MappingProxyType(
             (*_SHIFT, *(f"score_{name}" for name in ATTRIBUTES)), 128, {}, _codes, _codes, _by_code
         ),
         "minutiae": Matcher(
-            ("bozorth3",),
+            (),
             128,
-            {"extraction": "mindtct", "comparison": "bozorth3", "edge_mm": EDGE_MM},
+            {"extraction": "mindtct", "comparison": "agreeing minutiae", "edge_mm": EDGE_MM},
             _stored_minutiae,
             _stored_minutiae,
-            _by_minutiae,
+            lambda a, b: {"similarity": minutiae_match(a, b)},
             "minutiae",
         ),
     }

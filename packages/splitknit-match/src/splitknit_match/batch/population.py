@@ -12,7 +12,6 @@ import numpy as np
 from splitknit.errors import refusing, require
 from splitknit.io.enrolment import PLAN_FILE, PlannedCapture, open_enrolment
 from splitknit.io.fields import read_json, text_of
-from splitknit_match.batch.parameters import PAIRS
 from splitknit_match.evaluation.protocol import Comparisons, comparisons
 
 
@@ -43,12 +42,11 @@ def read_population(folder: Path) -> Population:
 
     Raises BadInput if it is neither, its plan is damaged, or it holds no complete capture.
     """
-    remedy = (
-        "name a folder of 'splitknit simulate population', of an enrolment, or of folders of"
-        " photographs."
+    fault = (
+        f"'{folder}' is not a population: it holds no {PLAN_FILE}; name a folder of 'splitknit"
+        " simulate population', of an enrolment, or of folders of photographs."
     )
-    fault = f"'{folder}' is not a population: it holds no {PLAN_FILE}; {remedy}"
-    with refusing(fault):
+    with refusing(fault):  # a name may be too long
         require((folder / PLAN_FILE).is_file(), fault)
     plan = open_enrolment(folder).plan
     captures = []
@@ -85,6 +83,10 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Co
     fingers = [capture.finger for capture in captures]
     sessions = [capture.session for capture in captures]
     return comparisons(fingers, sessions, drawn if impostors < 1.0 else None)
+
+
+PAIRS = 2048
+"""Comparisons of a task at most: what a run that is killed loses, for each of its workers."""
 
 
 def blocks_of(

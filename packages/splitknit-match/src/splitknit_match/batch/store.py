@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput
-from splitknit.errors import naming, refusing, require
+from splitknit.errors import refusing, require
 from splitknit.files import open_at_once
 from splitknit.io.atomic import hold, make_folder, private_modes, sweep, write_file
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import json_text, plain_json, provenance, settings_hash
-from splitknit.model import Surface
+from splitknit.reconstruction import Surface
 from splitknit.settings import differing
-from splitknit_match.batch.surfaces import unpack_surface
+from splitknit_match.batch.surfaces import read_surface
 from splitknit_match.batch.tables import SUFFIX, Table, read_table
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
 STORE_FILE = "store.json"
-FORMAT, VERSION = "splitknit-batch", 3
+FORMAT, VERSION = "splitknit-batch", 4
 SCORES = ("a", "b", "genuine", "similarity", "compared")
 """Columns of every table of scores, before the matcher's own."""
 _LOCK = ".lock"
@@ -45,23 +45,24 @@ class Place:
     """Where a capture lies in a store."""
 
     file: Path
-    row: int
+    surface_file: Path
 
     def value(self, column: str) -> Any:
         """Its value of a column."""
-        return read_table(self.file, [column])[column][self.row]
+        return read_table(self.file, [column])[column][0]
 
     def surface(self) -> Surface | None:
         """Its surface, to the last bit; None where the capture could not be acquired.
 
         Raises BadInput if the store was made without surfaces.
         """
-        payload = self.value("images")
-        if payload:
-            return naming(f"'{self.file}'", lambda: unpack_surface(payload))
-        fault = f"'{self.file}' holds no surfaces: it was made without them"
-        empty = self.value("area_mm2") == 0.0
-        require(empty, f"{fault}; delete it and run the same again with them.")
+        if self.surface_file.is_file():
+            return read_surface(self.surface_file)
+        require(
+            self.value("area_mm2") == 0.0,
+            f"'{self.file}' was made without its surface; delete it and run the same again with"
+            " surfaces.",
+        )
         return None
 
 
@@ -75,16 +76,18 @@ class Store:
         """The store's own record. Raises BadInput if it is missing, damaged or of another
         version."""
         file = self.folder / STORE_FILE
-        fault = f"'{self.folder}' is not a store of 'splitknit batch': it holds no {STORE_FILE}."
-        require(file.is_file(), fault)
+        require(
+            file.is_file(),
+            f"'{self.folder}' is not a store of 'splitknit batch': it holds no {STORE_FILE}.",
+        )
         document, _ = read_json(file, self.damaged)
         require(document.get("format") == FORMAT, self.damaged)
         version = document.get("format_version")
-        fault = (
+        require(
+            version == VERSION,
             f"the store '{self.folder}' is of version {version}, and this is a reader of version"
-            f" {VERSION}"
+            f" {VERSION}; run the batch again into another folder.",
         )
-        require(version == VERSION, f"{fault}; run the batch again into another folder.")
         return dict(document)
 
     @property
@@ -97,19 +100,12 @@ class Store:
         return sorted((self.folder / kind / name).rglob(f"*{SUFFIX}"))
 
     def places(self, kind: str, case: str) -> dict[str, Place]:
-        """Where each capture lies that is finished.
-
-        A capture is a file of its name; earlier programs kept several in a file.
-        """
-        folder = self.folder / kind / case
-        places: dict[str, Place] = {}
-        for file in self.files(kind, case):
-            name = file.relative_to(folder).with_suffix("").as_posix()
-            alone = "/" in name
-            names = [name] if alone else read_table(file, ["capture"])["capture"].tolist()
-            for row, capture in enumerate(names):
-                places.setdefault(capture, Place(file, row))
-        return places
+        """Where each capture lies that is finished: in a file of its name."""
+        folder, surfaces = self.folder / kind / case, self.folder / "surfaces" / case
+        return {
+            name.with_suffix("").as_posix(): Place(folder / name, surfaces / name)
+            for name in (file.relative_to(folder) for file in self.files(kind, case))
+        }
 
     def features(self, case: str, columns: Sequence[str] | None = None) -> Table:
         """Columns of all captures of a case, ordered by capture, see ``docs/reference/files.md``.
@@ -126,17 +122,22 @@ class Store:
         once. Raises BadInput if there are none, or a table is damaged.
         """
         files = self.files(f"scores/{case}", matcher)
-        fault = f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher"
-        require(files, f"{fault} '{matcher}'.")
+        require(
+            files,
+            f"the store '{self.folder}' holds no comparisons of case '{case}' by matcher"
+            f" '{matcher}'.",
+        )
         return _joined(files, None, "b", "a")
 
 
 def _joined(files: Sequence[Path], columns: Sequence[str] | None, *keys: str) -> Table:
     """Tables as one, ordered by `keys`, the last first; of rows with equal keys the first."""
     tables = [read_table(file, columns) for file in files]
-    fault = "tables of the store have other columns; delete the older ones and run the same again."
     same = all(table.keys() == tables[0].keys() for table in tables)
-    require(same and {*keys} <= tables[0].keys(), fault)
+    require(
+        same and {*keys} <= tables[0].keys(),
+        "tables of the store have other columns; delete them and run the same again.",
+    )
     whole = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
     order = np.lexsort([whole[key] for key in keys])
     same_key = [whole[key][order][1:] == whole[key][order][:-1] for key in keys]
@@ -154,13 +155,18 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         make_folder(folder)
         names = {path.name for path in folder.iterdir()}
-        fault = f"'{folder}' is not empty and holds no {STORE_FILE}: it is not a store"
-        require(STORE_FILE in names or names <= {_LOCK}, f"{fault}; name another folder.")
+        require(
+            STORE_FILE in names or names <= {_LOCK},
+            f"'{folder}' is not empty and holds no {STORE_FILE}: it is not a store; name another"
+            " folder.",
+        )
         flags = os.O_CREAT | os.O_WRONLY
         stream = os.fdopen(open_at_once(folder / _LOCK, flags, private_modes()[0]), "wb")
     except OSError as error:
-        fault = f"cannot write into '{folder}': {error.strerror or error}"
-        raise BadInput(f"{fault}; choose another folder for the store.") from error
+        raise BadInput(
+            f"cannot write into '{folder}': {error.strerror or error}; choose another folder for"
+            " the store."
+        ) from error
     with stream:
         hold(stream, f"another run is writing into '{folder}'; wait for it, or stop it.")
         sweep(folder)
@@ -219,6 +225,9 @@ def _merged(folder: Path, earlier: dict[str, Any], wanted: dict[str, Any]) -> di
         fractions = pairs["impostors"], before["pairs"]["impostors"]
         pairs["impostors"] = before["pairs"]["impostors"] = max(fractions)
     names = differing(before, merged)
-    fault = f"the store '{folder}' was made with another {', '.join(names[:4])}"
-    require(not names, f"{fault}; use the same, another name, or another folder.")
+    require(
+        not names,
+        f"the store '{folder}' was made with another {', '.join(names[:4])}; use the same, another"
+        " name, or another folder.",
+    )
     return merged

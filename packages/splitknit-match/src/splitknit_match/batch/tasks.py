@@ -22,11 +22,10 @@ from urllib.parse import urlsplit
 from splitknit import BadInput
 from splitknit.errors import importing, refusing, require
 from splitknit.files import with_given_folders
+from splitknit.io.paging import one_heap
 from splitknit.io.provenance import provenance
 from splitknit.networks.unet import running, use_device
-from splitknit.steps import one_heap
 from splitknit.workers import run_jobs
-from splitknit_match.batch.parameters import AHEAD, PATIENCE_S, WORKER_BYTES
 
 Task = TypeVar("Task")
 
@@ -76,6 +75,10 @@ def run_tasks(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> Iter
         use_device(before.device, before.threads)
 
 
+WORKER_BYTES = 1_200_000_000
+"""Memory of one worker: a full frame by `metric` takes 0.9 GB."""
+
+
 def workers_that_fit() -> int:
     """Workers that the memory holds that is available now; any number where it is not known."""
     with contextlib.suppress(OSError):
@@ -97,10 +100,15 @@ def _in_worker(work: Work[Task], device: str, threads: int, task: Task) -> Done:
 def _in_cluster_worker(work: Work[Task], device: str, version: str, task: Task) -> Done:
     """Do a task in a worker of a cluster, which must have the same software."""
     own = provenance()["version"]
-    fault = f"a worker of the cluster has splitknit {own}, and this is {version}"
-    require(version == own, f"{fault}; use one version.")
+    require(
+        version == own,
+        f"a worker of the cluster has splitknit {own}, and this is {version}; use one version.",
+    )
     one_heap()  # Dask lets glibc return memory at once, which doubles the processor time
     return _in_worker(work, device, 1, task)
+
+
+PATIENCE_S = 30.0  # how long a cluster is waited for
 
 
 @contextlib.contextmanager
@@ -118,14 +126,17 @@ def connected(address: str) -> Iterator[Any]:
         plain = address == f"{parts.scheme}://{parts.netloc}"
         require(plain and parts.scheme in ("tls", "tcp") and (parts.hostname and parts.port), fault)
     encrypted = parts.scheme == "tls"
-    fault = f"the scheduler '{address}' is on another computer, without encryption: anyone who"
-    fault += " reaches its port can send code that its workers run, and read the fingerprints"
-    own = encrypted or _is_loopback(parts.hostname or "")
-    require(own, f"{fault}; use tls:// and certificates (docs/guide/batch.md).")
-    missing = "a cluster needs distributed, which is missing ({error}); install"
-    with importing(f"{missing} 'splitknit-match[cluster]'."):
+    require(
+        encrypted or _is_loopback(parts.hostname or ""),
+        f"the scheduler '{address}' is on another computer, without encryption: anyone who reaches"
+        " its port can send code that its workers run, and read the fingerprints; use tls:// and"
+        " certificates (docs/guide/batch.md).",
+    )
+    with importing(
+        "a cluster needs distributed, which is missing ({error}); install"
+        " 'splitknit-match[cluster]'."
+    ):
         distributed = importlib.import_module("distributed")
-    fault = f"the scheduler '{address}' cannot be reached"
     try:
         checked = {"tls_ciphers": None, "tls_min_version": None}  # Python's, not those configured
         security = distributed.Security(require_encryption=encrypted, **checked)
@@ -133,16 +144,17 @@ def connected(address: str) -> Iterator[Any]:
             address, timeout=PATIENCE_S, set_as_default=False, security=security
         )
     except (OSError, ValueError, TypeError, RuntimeError, AssertionError) as error:
-        remedy = (
-            "start it and its workers, tls:// with certificates of one CA (docs/guide/batch.md)."
-        )
-        raise BadInput(f"{fault} ({_cause(error)}); {remedy}") from error
+        raise BadInput(
+            f"the scheduler '{address}' cannot be reached ({_cause(error)}); start it and its"
+            " workers, tls:// with certificates of one CA (docs/guide/batch.md)."
+        ) from error
     try:
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except (TimeoutError, OSError) as error:
-            fault = f"the scheduler '{address}' has no workers"
-            raise BadInput(f"{fault}; start some (docs/guide/batch.md).") from error
+            raise BadInput(
+                f"the scheduler '{address}' has no workers; start some (docs/guide/batch.md)."
+            ) from error
         yield client
     finally:
         client.close(timeout=5)
@@ -159,6 +171,10 @@ def _cause(error: BaseException) -> str:
     while error.__cause__ is not None:
         error = error.__cause__
     return str(getattr(error, "strerror", None) or error) or "no answer in time"
+
+
+AHEAD = 3
+"""Tasks that a scheduler is given for each thread of its workers. Chosen on: speed."""
 
 
 def _on_cluster(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> Iterator[Done]:
@@ -181,9 +197,9 @@ def _on_cluster(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> It
             yield future.result()
             futures.update(submitted(1))
     except distributed.KilledWorker as error:
-        fault = "several workers were killed at one task, perhaps for want of memory"
         raise BadInput(
-            f"{fault}; {kept}: give them more memory, and run the same again."
+            f"several workers were killed at one task, perhaps for want of memory; {kept}: give"
+            " them more memory, and run the same again."
         ) from error
     except (
         distributed.comm.CommClosedError,

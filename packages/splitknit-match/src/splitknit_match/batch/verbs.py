@@ -19,6 +19,7 @@ from splitknit.arguments import (
     Progress,
     Report,
     ResolutionPpi,
+    Ridges,
     checked,
     count,
     refuse_given,
@@ -31,8 +32,7 @@ from splitknit_match.gallery.verbs import KeyFile
 
 if TYPE_CHECKING:
     from splitknit_match.batch.cases import Case
-    from splitknit_match.gallery.file import Key
-    from splitknit_match.gallery.gallery import EnrolledCapture, Enrolling
+    from splitknit_match.gallery.gallery import EnrolledCapture
 
 
 @checked
@@ -188,8 +188,8 @@ def enroll(
     replace: bool = False,
     with_time: bool = False,
     duplicates: Literal["refuse", "warn", "allow"] | None = None,
-    pad: bool = False,
     resolution_ppi: ResolutionPpi = None,
+    ridges: Ridges = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     preset: Preset = "metric",
@@ -223,8 +223,6 @@ def enroll(
     duplicates
         What to do about a finger that matches another person's: refuse it, report it (warn, the
         default), or not look (allow).
-    pad
-        Refuse presentation attacks; where it is unknown whether it is one, a note says so.
     mask
         The finger of a photograph: an image of its size, white on the finger.
     box
@@ -250,14 +248,15 @@ def enroll(
     >>> added.facts["people"]  # doctest: +SKIP
     1
     """
+    from splitknit.io.provenance import known_json
+    from splitknit_match.batch.enrol import enroll_population
     from splitknit_match.gallery.file import key_of, readable_gallery
     from splitknit_match.gallery.gallery import Enrolling
-    from splitknit_match.pad import refuse_attacks
+    from splitknit_match.gallery.gallery import enroll as enroll_finger
     from splitknit_match.prints.photo_finger import PhotoFinger
 
-    how = Enrolling(preset, replace, with_time, resolution_ppi, PhotoFinger(mask, box))
+    how = Enrolling(preset, replace, with_time, resolution_ppi, ridges, PhotoFinger(mask, box))
     key = key_of(key_file)
-    presentation, unknown = refuse_attacks(pad, sources, preset, progress)
     if population is None:
         require(workers is None, "`workers` is for `population`.")
         require(
@@ -269,9 +268,9 @@ def enroll(
                 "name whose finger it is: `person` NAME `finger` right_index (or `population`"
                 " FOLDER)."
             )
-        facts, lines, findings = _enroll_sources(
-            Path(gallery),
-            sources,
+        enrolment = enroll_finger(
+            gallery,
+            list(sources),
             person,
             finger,
             session=session,
@@ -280,6 +279,14 @@ def enroll(
             duplicates=duplicates or "warn",
             progress=progress,
         )
+        facts: dict[str, Any] = dict(known_json(enrolment.content))
+        facts |= {"enrolled": known_json(enrolment.enrolled), "alike": known_json(enrolment.alike)}
+        lines = [
+            _enrolled_line(capture)
+            for capture in enrolment.enrolled
+            if capture.acquired or not capture.new  # else a finding states it
+        ]
+        findings: Sequence[Finding] = enrolment.findings
     else:
         why = "does not go with `population`, whose folders have names."
         refuse_given(why, person=person, finger=finger, session=session, mask=mask, box=box)
@@ -287,7 +294,7 @@ def enroll(
             "goes with sources; people of a `population` are not compared.", duplicates=duplicates
         )
         require(not sources, "name sources or a `population`, not both.")
-        facts, lines, findings = _enroll_population(
+        facts = enroll_population(
             Path(gallery),
             Path(population),
             how,
@@ -295,77 +302,28 @@ def enroll(
             workers=1 if workers is None else workers,
             progress=progress,
         )
+        new = count(facts["new"], "capture")
+        lines = [f"{new} enrolled, {facts['known']} of {facts['found']} were there already."]
+        findings = _failures(facts["failures_to_acquire"])
     locked = ", encrypted" if facts["encrypted"] else ""
     people = count(facts["people"], "person", "people")
     holds = (
         f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}"
     )
-    findings = worst_first([*findings, *unknown, *readable_gallery(gallery, key_file)])
+    findings = worst_first([*findings, *readable_gallery(gallery, key_file)])
     lines += [f"Please note: {finding}" for finding in findings]
     lines.append(f"{facts['gallery']} holds {holds}{locked}.")
     facts["findings"] = [finding.facts for finding in findings]
-    if presentation is not None:
-        facts = {**facts, "presentation": presentation}
     return Report(facts, tuple(lines))
 
 
-def _enroll_sources(
-    gallery: Path,
-    sources: Sequence[AnyPath],
-    person: str,
-    finger: str,
-    *,
-    session: str | None,
-    key: Key | None,
-    how: Enrolling,
-    duplicates: Literal["refuse", "warn", "allow"],
-    progress: Progress,
-) -> tuple[dict[str, Any], list[str], tuple[Finding, ...]]:
-    from splitknit.io.provenance import known_json
-    from splitknit_match.gallery.gallery import enroll as enroll_finger
-
-    enrolment = enroll_finger(
-        gallery,
-        list(sources),
-        person,
-        finger,
-        session=session,
-        key=key,
-        how=how,
-        duplicates=duplicates,
-        progress=progress,
-    )
-    facts = dict(known_json(enrolment.content))
-    facts |= {"enrolled": known_json(enrolment.enrolled), "alike": known_json(enrolment.alike)}
-    lines = [
-        _enrolled_line(capture)
-        for capture in enrolment.enrolled
-        if capture.acquired or not capture.new  # else a finding states it
-    ]
-    return facts, lines, enrolment.findings
-
-
-def _enroll_population(
-    gallery: Path,
-    population: Path,
-    how: Enrolling,
-    *,
-    key: Key | None,
-    workers: int,
-    progress: Progress,
-) -> tuple[dict[str, Any], list[str], tuple[Finding, ...]]:
-    from splitknit_match.batch.enrol import enroll_population
-
-    facts = enroll_population(gallery, population, how, key=key, workers=workers, progress=progress)
-    new = count(facts["new"], "capture")
-    lines = [f"{new} enrolled, {facts['known']} of {facts['found']} were there already."]
-    failed = facts["failures_to_acquire"]
+def _failures(failed: Sequence[Mapping[str, str]]) -> Sequence[Finding]:
     if not failed:
-        return facts, lines, ()
+        return ()
     first = f"first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')}"
     words = f"{count(len(failed), 'failure')} to acquire, kept as such ({first})."
     files = tuple(failure["path"] for failure in failed)
-    return facts, lines, (Finding("failure-to-acquire", words, files=files),)
+    return (Finding("failure-to-acquire", words, files=files),)
 
 
 def _enrolled_line(capture: EnrolledCapture) -> str:

@@ -26,7 +26,6 @@ from splitknit_match.evaluation.intervals import (
     differences,
 )
 from splitknit_match.evaluation.intervals import bootstrap as resample
-from splitknit_match.evaluation.parameters import MAX_SYSTEMS
 from splitknit_match.evaluation.protocol import average_sessions, pair_up
 from splitknit_match.evaluation.rates import error_bound, roc
 from splitknit_match.evaluation.scores import Scores, read_scores
@@ -80,6 +79,9 @@ class Evaluation:
     fused: Mapping[str, Fused]  # the systems' fusions that were asked for, by method
     bootstrap: BootstrapSettings
     inputs_sha256: Mapping[str, str]
+
+
+_MAX_SYSTEMS = 12  # systems and variants on one page, at most
 
 
 def evaluate(
@@ -160,8 +162,8 @@ def evaluate(
         groups.append([average_sessions(system) for system in groups[0]])
     count = sum(map(len, groups))
     require(
-        count <= MAX_SYSTEMS,
-        f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}; give"
+        count <= _MAX_SYSTEMS,
+        f"one report shows {_MAX_SYSTEMS} systems and variants at most, but there are {count}; give"
         " fewer files.",
     )
     for method, fusion in fused.items():

@@ -24,7 +24,6 @@ from scipy.special import expit
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.model import BoolArray
-from splitknit_match.evaluation.parameters import FOLDS, PENALTY
 from splitknit_match.evaluation.protocol import pair_up
 from splitknit_match.evaluation.rates import Values
 from splitknit_match.evaluation.scores import Scores
@@ -76,7 +75,7 @@ def fuse(systems: Sequence[Scores], method: str = "trained", seed: int = 0) -> F
         used.size >= 3,
         f"a fusion needs three subjects (or fingers) at least, but there are {used.size}.",
     )
-    folds = min(FOLDS, used.size)
+    folds = min(5, used.size)  # folds of the cross-validation; fewer where there are fewer subjects
     fold_of = np.zeros(len(ids.names), dtype=np.int64)
     fold_of[np.random.default_rng([seed, 0xF05E]).permutation(used)] = np.arange(used.size) % folds
     table = np.stack([system.score for system in aligned], axis=1)
@@ -138,6 +137,11 @@ def _mean(offset: Values, scale: Values) -> tuple[Values, Model]:
     return weight, lambda table: np.nanmean((table - offset) / scale, axis=1)
 
 
+PENALTY = 1e-3
+"""Penalty of the logistic regression: on half the sum of the squared weights, where the mean loss
+is 1."""
+
+
 def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
     """Logistic regression on z-scores: log-odds that a pair is genuine, where both kinds are
     equally likely beforehand. A missing score counts as the mean and, being missing, as a feature
@@ -162,16 +166,8 @@ def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
             -x.T @ rate + hold * w,
         )
 
-    def curvature(w: Values) -> Values:
-        rate = expit(x @ w)
-        return np.asarray(
-            (x * (fraction * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12)
-        )
-
     start: Any = np.zeros(x.shape[1])
-    weights = minimize(
-        loss, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-12}
-    ).x
+    weights = minimize(loss, start, jac=True, method="BFGS", options={"gtol": 1e-9}).x
     return weights[: scores.shape[1]], lambda table: design(table) @ weights
 
 

@@ -15,14 +15,14 @@ from splitknit import BadInput
 from splitknit.findings import Finding
 from splitknit.io.provenance import file_hash
 from splitknit.model import Array, Progress, no_progress
-from splitknit_match.evaluation.parameters import KEPT_FINGERS
 from splitknit_match.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit_match.evaluation.scores import Scores, score_table
 from splitknit_match.gallery.file import GalleryFile, Key, session_order
-from splitknit_match.matching.fusion import fused_match, with_fusion
-from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.fusion import with_fusion
+from splitknit_match.matching.methods import compare_templates
+from splitknit_match.matching.minutiae_match import minutiae_match
+from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import unpack
-from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
 
 
@@ -91,6 +91,10 @@ def gallery_scores(
     return GalleryScores(scores, table, file_hash(path), tuple(findings), method)
 
 
+KEPT_FINGERS = 32
+"""Fingers kept ready at a time: 2 to 16 MB each. Chosen on: speed."""
+
+
 def _similarities(
     payloads: Sequence[bytes], pairs: Comparisons, progress: Progress
 ) -> tuple[Array, tuple[Finding, ...], str]:
@@ -107,7 +111,7 @@ def _similarities(
         return np.array(scores), (), "minutiae"
     templates = [unpack(payload) for payload in payloads]
     fused, findings = with_fusion([template for template in templates if not template.empty])
-    match = fused_match if fused else ridge_match
+    method = "fusion" if fused else "ridge"
     prepared = lru_cache(KEPT_FINGERS + 1)(lambda place: Prepared(templates[place]))
     score = np.full(pairs.a.size, np.nan)
     for done, n in enumerate(np.lexsort((pairs.a, pairs.b // KEPT_FINGERS)).tolist()):
@@ -115,5 +119,5 @@ def _similarities(
         if done % 256 == 0:
             progress("comparing", 0.9 * done / score.size)
         if not (templates[a].empty or templates[b].empty):
-            score[n] = match(prepared(a), prepared(b)).similarity
-    return score, findings, "fusion" if fused else "ridge"
+            score[n] = compare_templates(method, prepared(a), prepared(b)).similarity
+    return score, findings, method

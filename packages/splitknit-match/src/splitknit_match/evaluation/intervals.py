@@ -7,19 +7,22 @@ drawn by subject, count w_s: they come along together.) Impostor scores that sha
 thus rise and fall together. Copies of one finger in a replicate are not compared with each other:
 there is no score for it.
 
-``plain``: comparisons are drawn, genuine and impostor ones apart. Right only if they are
-independent, which they are not where a finger takes part in several.
+``plain``: each comparison counts as often as a Poisson variable of mean one, which is how often one
+of many is drawn. Right only if they are independent, which they are not where a finger takes part
+in several.
 
 Source: T. A. B. Snijders, S. P. Borgatti, "Non-parametric standard errors and tests for network
 statistics", Connections 22(2), 1999 (the vertex bootstrap). A. B. Owen, "The pigeonhole bootstrap",
 Annals of Applied Statistics 1(2), 2007 (two-way; the variance is right or a little large). R.
 Fogliato, P. Patil, P. Perona, "Confidence intervals for error rates in 1:1 matching tasks",
 International Journal of Computer Vision, 2024 (a review: bootstraps cover too often or too rarely
-where errors are few).
+where errors are few). J. A. Hanley, B. MacGibbon, "Creating non-parametric bootstrap samples using
+Poisson frequencies", Computer Methods and Programs in Biomedicine 83(1), 2006.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -30,8 +33,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import BoolArray
 from splitknit.settings import Checked, Limits
-from splitknit_match.evaluation.parameters import CONFIDENCE, FEW
-from splitknit_match.evaluation.rates import Roc, Values, error_bound, rank, roc
+from splitknit_match.evaluation.rates import CONFIDENCE, Counts, Roc, Values, error_bound, roc
 from splitknit_match.evaluation.scores import Scores
 
 TARGETS = (0.01, 0.001, 0.0001)
@@ -87,13 +89,14 @@ def bootstrap(
     """All figures of `scores` with percentile intervals of 95 %. Raises BadInput if `method` lacks
     its ids."""
     falling = scores.taken(np.argsort(-scores.score, kind="stable"))
+    curve = roc(falling.genuine, falling.impostor)
     lowest = min(0.1, 1.0 / falling.impostor.size)
     curve_far = (
         np.geomspace(lowest, 1.0, settings.curve_points) if settings.curve_points else np.zeros(0)
     )
-    ((values, replicates),) = _resampled([falling], method, settings, curve_far)
+    ((values, replicates),) = _resampled(falling, [curve], method, settings, curve_far)
     lows, highs = _percentiles(replicates)
-    bounds = _bounds(falling, method, settings.targets)
+    bounds = _bounds(falling, curve, method, settings.targets)
     names = figure_names(settings.targets)
     figures = {
         name: _interval(value, low, high, *bounds.get(name, ()))
@@ -118,10 +121,15 @@ def differences(
         same,
         f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.",
     )
-    (values, replicates), (values_2, replicates_2) = _resampled([first, second], method, settings)
+    curves = [roc(system.genuine, system.impostor) for system in (first, second)]
+    (values, replicates), (values_2, replicates_2) = _resampled(first, curves, method, settings)
     ends = _percentiles(replicates - replicates_2)
     rows = zip(figure_names(settings.targets), values - values_2, *ends, strict=True)
-    bounds = _difference_bounds(first, second, method, settings.targets)
+    accepted = [
+        _decided(system, curve, settings.targets)
+        for system, curve in zip((first, second), curves, strict=True)
+    ]
+    bounds = _difference_bounds(first, accepted, method)
     return {
         name: _interval(value, low, high, *(value + end for end in bounds.get(name, ())))
         for name, value, low, high in rows
@@ -145,51 +153,61 @@ def _figures(curve: Roc, targets: Sequence[float], fars: Values) -> list[float]:
 
 
 def _resampled(
-    systems: Sequence[Scores], method: str, settings: BootstrapSettings, fars: Values = _NO_FARS
+    pairs: Scores,
+    curves: Sequence[Roc],
+    method: str,
+    settings: BootstrapSettings,
+    fars: Values = _NO_FARS,
 ) -> list[tuple[Values, Values]]:
-    """Figures (F,) of each system, and (replicates, F) those of the same replicates for all
-    systems."""
-    ranks = [rank(system.genuine, system.impostor) for system in systems]
-    replicates: list[list[list[float]]] = [[] for _ in systems]
-    for weights in _weights(systems[0], method, settings):
-        for ranked, figures in zip(ranks, replicates, strict=True):
-            falling = [weight[order] for weight, order in zip(weights, ranked.order, strict=True)]
-            figures.append(_figures(ranked.roc(falling), settings.targets, fars))
-    values = [
-        _figures(roc(system.genuine, system.impostor), settings.targets, fars) for system in systems
+    """Figures (F,) of each system's ROC, and (replicates, F) those of the same replicates for all
+    systems; `pairs`: what they scored."""
+    codes, _ = _clusters(pairs, method)
+    count = int(codes.max()) + 1
+    others = np.where(codes[:, 1:] == codes[:, :1], count, codes[:, 1:])  # which counts once
+    drawn_with = np.hstack([codes[:, :1], others])
+    sides = drawn_with[pairs.label], drawn_with[~pairs.label]
+    replicates: list[list[list[float]]] = [[] for _ in curves]
+    in_order = [
+        [side[order].T.copy() for side, order in zip(sides, curve.ranked.order, strict=True)]
+        for curve in curves
     ]
-    return [(np.array(own), np.array(rows)) for own, rows in zip(values, replicates, strict=True)]
+    for times in _times(count, method, settings):
+        for curve, falling, figures in zip(curves, in_order, replicates, strict=True):
+            weights = [
+                math.prod(times.take(part, mode="clip") for part in side) for side in falling
+            ]
+            figures.append(_figures(curve.ranked.roc(weights), settings.targets, fars))
+    return [
+        (np.array(_figures(curve, settings.targets, fars)), np.array(rows))
+        for curve, rows in zip(curves, replicates, strict=True)
+    ]
 
 
-def _weights(
-    scores: Scores, method: str, settings: BootstrapSettings
-) -> Iterator[Sequence[Values]]:
-    """How often each genuine (N,) and impostor comparison (M,) counts in each replicate."""
+def _times(count: int, method: str, settings: BootstrapSettings) -> Iterator[Counts]:
+    """How often each of `count` is drawn in each replicate, and one for what is not drawn."""
     generator = np.random.default_rng(settings.seed)
-
-    def draw(count: int) -> Values:
-        return np.bincount(generator.integers(0, count, count), minlength=count).astype(float)
-
-    codes, clusters = _clusters(scores, method)
-    a, b = codes.T
-    b = np.where(a == b, clusters, b)  # which counts once
+    # of a Poisson variable: below which of 65,536 equally frequent numbers it is 0, 1, ... at most
+    ends = 65536 * np.cumsum([math.exp(-1) / math.factorial(times) for times in range(8)])
+    times = np.ones(count + 1, dtype=np.uint16)
     for _ in range(settings.replicates):
         if method == "plain":
-            yield draw(scores.genuine.size), draw(scores.impostor.size)
+            numbers = generator.integers(0, 65536, count, dtype=np.uint16)
+            times[:-1] = numbers >= ends[0].astype(np.uint16)
+            for end in ends[1:].astype(np.uint16):
+                times[:-1] += numbers >= end
         else:
-            times = np.append(draw(clusters), 1.0)
-            weight = times[a] * times[b]
-            yield weight[scores.label], weight[~scores.label]
+            times[:-1] = np.bincount(generator.integers(0, count, count), minlength=count)
+        yield times
 
 
 def _clusters(scores: Scores, method: str) -> tuple[NDArray[np.int64], int]:
-    """(N, 2) what each comparison is drawn with, and how many of them there are; of ``plain`` those
-    of the smaller class limit what is known.
+    """(N, 1 or 2) what each comparison is drawn with, and how many of them there are; of ``plain``
+    those of the smaller class limit what is known.
     """
     require(method in METHODS, f"the bootstrap draws by {', '.join(METHODS)}, not by '{method}'.")
     if method == "plain":
         places = np.arange(scores.label.size)
-        return np.stack([places, places], axis=1), min(scores.genuine.size, scores.impostor.size)
+        return places[:, None], min(scores.genuine.size, scores.impostor.size)
     ids = getattr(scores, method)
     require(
         ids is not None,
@@ -221,8 +239,12 @@ def _interval(value: float, *limits: float) -> Interval:
     return Interval(float(value), min(known), max(known))
 
 
+_FEW = 5
+"""Fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone."""
+
+
 def _bounds(
-    scores: Scores, method: str, targets: Sequence[float]
+    scores: Scores, curve: Roc, method: str, targets: Sequence[float]
 ) -> dict[str, tuple[float, float]]:
     """How far off rates that rest on few fingers may be; the rate itself if enough were rejected
     and accepted.
@@ -232,28 +254,25 @@ def _bounds(
     that of Clopper and Pearson for as many independent trials as there are fingers, as if all
     comparisons of a finger failed together: cautious, and where nothing failed the rule of three.
     """
-    genuine = scores.genuine
-    curve = roc(genuine, scores.impostor)
     clusters = _clusters(scores, method)[0][scores.label, 0]
 
     def upper(rate: float, errors: BoolArray, tried: BoolArray) -> float:
-        few = np.unique(clusters[errors & tried]).size < FEW
+        few = np.unique(clusters[errors & tried]).size < _FEW
         return error_bound(rate, np.unique(clusters[tried]).size) if few else rate
 
-    every = np.ones(genuine.size, dtype=bool)
-    equal = curve.equal_error()
-    limits = {"eer": (equal.value, upper(equal.value, ~_accepted(genuine, equal.threshold), every))}
-    for part, tried, ending in ((curve, every, ""), (curve.scored(), ~np.isnan(genuine), "_made")):
-        for target in targets:
-            point = part.at_far(target)
-            accepted = _accepted(genuine, point.threshold)
-            low = 1.0 - upper(1.0 - point.gar, ~accepted, tried)
-            limits[f"gar@{target:g}{ending}"] = low, upper(point.gar, accepted, tried)
+    limits = {}
+    for name, accepted in _decided(scores, curve, targets).items():
+        tried = ~np.isnan(scores.genuine) | (not name.endswith("_made"))
+        gar = float(accepted[tried].mean())
+        limits[name] = 1.0 - upper(1.0 - gar, ~accepted, tried), upper(gar, accepted, tried)
+        if name == "eer":
+            equal = curve.equal_error().value
+            limits[name] = equal, upper(equal, ~accepted, tried)
     return limits
 
 
 def _difference_bounds(
-    first: Scores, second: Scores, method: str, targets: Sequence[float]
+    first: Scores, accepted: Sequence[dict[str, BoolArray]], method: str
 ) -> dict[str, tuple[float, float]]:
     """How far below and above a difference may lie that rests on few fingers, as
     :func:`_bounds`: what one system accepts and the other does not are errors of independent
@@ -263,26 +282,24 @@ def _difference_bounds(
 
     def more(differs: BoolArray) -> float:
         rate = float(differs.mean())
-        few = np.unique(clusters[differs]).size < FEW
+        few = np.unique(clusters[differs]).size < _FEW
         return error_bound(rate, trials) - rate if few else 0.0
 
     limits = {}
-    own, others = (_decided(system, targets) for system in (first, second))
-    for name, accepted in own.items():
-        gained, lost = more(accepted & ~others[name]), more(others[name] & ~accepted)
+    for name, own in accepted[0].items():
+        others = accepted[1][name]
+        gained, lost = more(own & ~others), more(others & ~own)
         limits[name] = (-gained, lost) if name == "eer" else (-lost, gained)
     return limits
 
 
-def _decided(scores: Scores, targets: Sequence[float]) -> dict[str, BoolArray]:
+def _decided(scores: Scores, curve: Roc, targets: Sequence[float]) -> dict[str, BoolArray]:
     """Genuine comparisons (N,) that are accepted where each figure is read."""
-    curve = roc(scores.genuine, scores.impostor)
     thresholds = {"eer": curve.equal_error().threshold}
     for part, ending in ((curve, ""), (curve.scored(), "_made")):
         for target in targets:
             thresholds[f"gar@{target:g}{ending}"] = part.at_far(target).threshold
-    return {name: _accepted(scores.genuine, value) for name, value in thresholds.items()}
-
-
-def _accepted(scores: Values, threshold: float | None) -> BoolArray:
-    return scores >= (np.inf if threshold is None else threshold)
+    return {
+        name: scores.genuine >= (np.inf if value is None else value)
+        for name, value in thresholds.items()
+    }

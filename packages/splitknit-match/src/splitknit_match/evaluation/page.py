@@ -20,8 +20,7 @@ from splitknit.report import template
 from splitknit_match.evaluation import curves
 from splitknit_match.evaluation.evaluate import Evaluation, Result
 from splitknit_match.evaluation.intervals import BootstrapSettings, Interval
-from splitknit_match.evaluation.parameters import CONFIDENCE
-from splitknit_match.evaluation.rates import roc
+from splitknit_match.evaluation.rates import CONFIDENCE, roc
 
 FORMAT = "splitknit-evaluation"
 _DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}

@@ -33,23 +33,16 @@ from splitknit import Reconstruction, read_result
 from splitknit.accuracy import eroded
 from splitknit.errors import require
 from splitknit.findings import Finding, Severity, worst_first
-from splitknit.imaging.geometry import bounding_box, height_gradients, smoothed
-from splitknit.model import Array, BoolArray, FloatArray, require_scale
-from splitknit_match.evaluation.parameters import (
-    BLOCK_MM,
-    CONFIDENCE,
-    EDGE_MM,
-    ELASTIC_MM,
-    MIN_BLOCKS,
-    MIN_COSINE,
-    MIN_SIMILARITY,
-    ORDER,
-    REPLICATES,
-    SKIN_MM,
-    STEP_MM,
-    STEPS,
-    SWEEPS,
+from splitknit.imaging.geometry import (
+    Floats,
+    bounding_box,
+    height_gradients,
+    pixels_above,
+    smoothed,
 )
+from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.reconstruction import require_scale
+from splitknit_match.evaluation.rates import CONFIDENCE
 from splitknit_match.matching.elastic import Affine, better_affine, compare_patches, rigid
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import band_places, ridge_band
@@ -103,6 +96,9 @@ class PairComparison:
     """What a reader has to know, worst first."""
 
 
+_ELASTIC_MM = 2.5  # longest wavelength that is compared on skin that may shift
+
+
 def compare_results(
     a: Reconstruction | str | os.PathLike[str],
     b: Reconstruction | str | os.PathLike[str],
@@ -145,7 +141,8 @@ def compare_results(
     results = [
         side if isinstance(side, Reconstruction) else read_result(Path(side)) for side in (a, b)
     ]
-    step = max(STEP_MM, *(result.pitch_mm for result in results))
+    # smallest pitch on which surfaces are compared
+    step = max(0.05, *(result.pitch_mm for result in results))
     tested, reference = (_Side(result, step) for result in results)
     similarity, affine = _ridges_on_each_other(tested, reference)
     rotation, shift, fields = _rigid_fit(tested, reference, *_start(tested, reference, affine))
@@ -160,7 +157,7 @@ def compare_results(
     detail = replace(fields, heights=(fields.heights[0] - form, fields.heights[1] - form))
     figures = {}
     for band, limits in BANDS_MM.items():
-        if limits[1] <= ELASTIC_MM:
+        if limits[1] <= _ELASTIC_MM:
             figures[band] = _by_slant(detail, limits, step)
         elif fit == "rigid":
             figures[band] = _by_slant(fields, limits, step)
@@ -201,6 +198,10 @@ def compare_results(
     )
 
 
+_MIN_COSINE = 0.5  # surface seen at more than 60 deg is not compared
+_EDGE_MM = 0.4  # surface nearer to its edge is not compared
+
+
 class _Side:
     """One result on a grid of `step` mm, seen from straight above, and its ridges, unrolled."""
 
@@ -219,22 +220,11 @@ class _Side:
         self.middle = (size[0] - 1) / 2, (size[1] - 1) / 2
         row, column = np.indices(size, dtype=float)
         self.x, self.y = (column - self.middle[1]) * step, (self.middle[0] - row) * step
-        plane = source = [
-            self.centre[0] - self.y / self.pixel,
-            self.centre[1] + self.x / self.pixel,
-        ]
-        # perspective: rays meet the plane beside the points
+        column, row = self._pixel(self.x, self.y)
         if result.x_mm is not None and result.y_mm is not None:
-            row, column = np.indices(known.shape)
-            parallax = (
-                self.centre[0] - result.y_mm / self.pixel - row,
-                self.centre[1] + result.x_mm / self.pixel - column,
-            )
-            for _ in range(4):  # a contraction, by the depth over the distance
-                source = [
-                    start - _sampled(part, known, source)
-                    for start, part in zip(plane, parallax, strict=True)
-                ]
+            point = self._pixel(result.x_mm, result.y_mm)
+            column, row = pixels_above(point, known, column, row)
+        source = [row, column]
         self.mask = _inside(known, source)
         require(self.mask.any(), "a result holds no surface.")
         height = _sampled(result.height_mm, known, source, step / self.pixel)
@@ -260,19 +250,23 @@ class _Side:
         )
         """(h, w) where the unrolled ridges lie in the result, and the cosine of their slant."""
 
+    def _pixel(self, x_mm: Floats, y_mm: Floats) -> tuple[Floats, Floats]:
+        """Columns and rows under parallel rays."""
+        return self.centre[1] + x_mm / self.pixel, self.centre[0] - y_mm / self.pixel
+
     def flat(self) -> tuple[FloatArray, BoolArray, FloatArray]:
         """Relief along the normal on the unrolled grid, mm, where it is known, and the slant in
         deg."""
         height, cosine = self.result.height_mm, self.unrolled_cosine
         relief = np.where(self.known, height, 0.0) - _form(height, self.known)
-        relief = relief - smoothed(relief, self.known, _SIGMA * ELASTIC_MM / self.pixel)
+        relief = relief - smoothed(relief, self.known, _SIGMA * _ELASTIC_MM / self.pixel)
         place = [self.rows, self.columns]
         # unrolling errs beside the edge
-        inside = _inside(eroded(self.known, 3 * EDGE_MM / self.pixel), place)
+        inside = _inside(eroded(self.known, 3 * _EDGE_MM / self.pixel), place)
         flat = _sampled(relief, self.known, place, self.step / self.pixel) * cosine
         return (
             flat,
-            inside & (cosine > MIN_COSINE),
+            inside & (cosine > _MIN_COSINE),
             np.rad2deg(np.arccos(np.clip(cosine, 0.0, 1.0))),
         )
 
@@ -301,11 +295,14 @@ def _pixels(
     return tuple(np.clip(np.round(place).astype(int), 0, length - 1) for place, length in pairs)
 
 
+_ORDER = 9  # order of the polynomial for the slow shape
+
+
 def _form(height: FloatArray, known: BoolArray) -> FloatArray:
     """Polynomial of a surface's slow shape: what is left of it has no slope from which a filter
     errs at the edge."""
     across, along = (
-        np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), ORDER)
+        np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), _ORDER)
         for length in height.shape
     )
     rows, columns = np.nonzero(known)
@@ -313,7 +310,7 @@ def _form(height: FloatArray, known: BoolArray) -> FloatArray:
     rows, columns = rows[::every], columns[::every]
     design = np.einsum("ni,nj->nij", across[rows], along[columns]).reshape(len(rows), -1)
     factors = np.linalg.lstsq(design, height[rows, columns].astype(float), rcond=1e-8)[0]
-    return np.asarray(across @ factors.reshape(ORDER + 1, -1) @ along.T, dtype=np.float32)
+    return np.asarray(across @ factors.reshape(_ORDER + 1, -1) @ along.T, dtype=np.float32)
 
 
 def _inside(mask: BoolArray, place: Sequence[FloatArray]) -> BoolArray:
@@ -335,14 +332,18 @@ def _sampled(
     )
 
 
+_MIN_SIMILARITY = 0.4
+"""Least similarity of the ridges of one finger; ridges of two fingers have about 0.2."""
+
+
 def _ridges_on_each_other(a: _Side, b: _Side) -> tuple[float, Affine]:
     """Similarity of the ridges, and the affine map (2, 3) of a position in B's unrolled ridges to
     A's."""
     match = ridge_match(a.ridges, b.ridges)
     require(
-        match.similarity >= MIN_SIMILARITY,
+        match.similarity >= _MIN_SIMILARITY,
         f"the ridges of A and B are not the same (similarity {match.similarity:.2f}, at least"
-        f" {MIN_SIMILARITY:g} is needed); give two measurements of one finger, or of one phantom.",
+        f" {_MIN_SIMILARITY:g} is needed); give two measurements of one finger, or of one phantom.",
     )
     affine = rigid(
         a.ridges.band, b.ridges.band, np.deg2rad(match.rotation_deg), match.right_mm, -match.up_mm
@@ -398,8 +399,8 @@ def _rigid_fields(a: _Side, b: _Side, points: Array, place: Sequence[Array]) -> 
     """A's heights where B's points lie, and those points' heights, in A's frame, on B's grid."""
     cosine = ndimage.map_coordinates(a.cosine, place, order=1, mode="nearest")
     height = _sampled(a.height, a.mask, place)
-    valid = eroded(_inside(a.mask, place) & b.mask, EDGE_MM / a.step)
-    valid &= (cosine > MIN_COSINE) & (b.cosine > MIN_COSINE)
+    valid = eroded(_inside(a.mask, place) & b.mask, _EDGE_MM / a.step)
+    valid &= (cosine > _MIN_COSINE) & (b.cosine > _MIN_COSINE)
     require(valid.any(), "A and B have no surface in common that is seen at less than 60 deg.")
     return _Fields(
         (height, points[..., 2].astype(np.float32)), valid, cosine, np.rad2deg(np.arccos(cosine))
@@ -410,7 +411,7 @@ def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array
     """Gauss-Newton steps on the differences of height; slow and fast ones count by their own
     variance."""
     sigma = _SIGMA * BANDS_MM["relief"][1] / a.step
-    for _ in range(STEPS):
+    for _ in range(25):  # steps of the rigid fit, at most
         points, place = _moved(a, b, rotation, shift)
         fields = _rigid_fields(a, b, points, place)
         box = bounding_box(fields.valid)
@@ -448,18 +449,21 @@ def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array
     return rotation, shift, _rigid_fields(a, b, *_moved(a, b, rotation, shift))
 
 
+_SWEEPS = 6  # steps of the elastic fit
+
+
 def _elastic_fit(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]:
     """Reliefs along the normal, unrolled, with B's skin shifted smoothly onto A's, and the rms of
     that shift in mm."""
     (relief_a, known_a, slant), (relief_b, known_b, _) = a.flat(), b.flat()
     row, column = np.indices(relief_b.shape, dtype=float)
     shift = np.zeros((*relief_b.shape, 2), dtype=np.float32)
-    for sweep in range(SWEEPS + 1):
+    for sweep in range(_SWEEPS + 1):
         position = np.stack([column + shift[..., 0], row + shift[..., 1]], axis=-1).reshape(-1, 2).T
         place = (affine[:, :2] @ position + affine[:, 2:])[::-1].reshape(2, *relief_b.shape)
         moved = _sampled(relief_a, known_a, place)
         valid = _inside(known_a, place) & known_b
-        if sweep < SWEEPS:
+        if sweep < _SWEEPS:
             shift = shift + _shifts(moved, relief_b, valid, b.step)
     slant_deg = ndimage.map_coordinates(slant, place, order=1, mode="nearest")
     return (
@@ -480,8 +484,9 @@ def _shifts(
     )
     still = np.zeros((*valid.shape, 2), dtype=np.float32)
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(grey_b, grey_a, still)
+    # sigma over which skin's shifts are averaged
     return np.stack(
-        [smoothed(part, valid, SKIN_MM / step) for part in np.moveaxis(np.asarray(flow), -1, 0)],
+        [smoothed(part, valid, 1.0 / step) for part in np.moveaxis(np.asarray(flow), -1, 0)],
         axis=-1,
     )
 
@@ -503,6 +508,9 @@ def _band(
     return np.where(valid, fine - coarse, 0.0).astype(np.float32)
 
 
+_BLOCK_MM = 2.0  # side of the blocks that are resampled
+
+
 def _by_slant(
     fields: _Fields, limits: tuple[float, float], step: float
 ) -> dict[str, dict[str, Any]]:
@@ -510,13 +518,13 @@ def _by_slant(
     a, b = (
         1e3 * _band(height, fields.valid, limits, step) * fields.cosine for height in fields.heights
     )
-    side = max(BLOCK_MM, limits[1] if np.isfinite(limits[1]) else limits[0]) / step
+    side = max(_BLOCK_MM, limits[1] if np.isfinite(limits[1]) else limits[0]) / step
     rows, columns = (np.arange(length) // side for length in a.shape)
     block = (rows[:, None] * (columns[-1] + 1) + columns).astype(int)
     figures = {}
     for name, (low, high) in SLANTS_DEG.items():
         where = fields.valid & (fields.slant_deg >= low) & (fields.slant_deg < high)
-        if int(where.sum()) * step**2 >= BLOCK_MM**2:
+        if int(where.sum()) * step**2 >= _BLOCK_MM**2:
             x, y = a[where].astype(float), b[where].astype(float)
             moments = np.ones(x.shape), x, y, x * x, y * y, x * y
             sums = np.stack(
@@ -530,9 +538,10 @@ def _figures(sums: Array, step: float) -> dict[str, Any]:
     """Figures of sums (blocks, 6) of 1, a, b, a^2, b^2 and ab, with intervals."""
     value = _statistics(sums.sum(axis=0))
     ends = [[None, None]] * 4
-    if len(sums) >= MIN_BLOCKS:
+    if len(sums) >= 6:  # with fewer blocks a figure has no interval
+        # replicates of the bootstrap of blocks
         drawn = np.random.default_rng(0).multinomial(
-            len(sums), np.full(len(sums), 1 / len(sums)), REPLICATES
+            len(sums), np.full(len(sums), 1 / len(sums)), 1000
         )
         tail = 50.0 * (1.0 - CONFIDENCE)
         ends = np.percentile(_statistics(drawn @ sums), (tail, 100.0 - tail), axis=1).T.tolist()

@@ -21,7 +21,6 @@ from splitknit.report import template
 from splitknit.report.photos import Picture, captioned, colour_bar
 from splitknit.report.surface import PageSurface, scene, upright_surface
 from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, SLANTS_DEG, PairComparison
-from splitknit_match.evaluation.parameters import APART_UM, HIGH_UM, LONGEST_PX
 
 FORMAT = "splitknit-comparison"
 _MAIN = next(iter(SLANTS_DEG))
@@ -143,16 +142,21 @@ def _cell(figure: Mapping[str, Any], digits: int) -> str:
     )
 
 
+_LONGEST_PX = 700  # longest side of a picture
+_APART_UM = 20.0  # largest difference that has a colour of its own
+_HIGH_UM = 60.0  # largest height that has a colour of its own
+
+
 def _coloured(values_um: FloatArray, *, diverging: bool = False) -> tuple[Any, float]:
-    """The surface's box in colours, at most `LONGEST_PX` a side; and pixels of the surface in
+    """The surface's box in colours, at most `_LONGEST_PX` a side; and pixels of the surface in
     one."""
-    limit = APART_UM if diverging else HIGH_UM
+    limit = _APART_UM if diverging else _HIGH_UM
     known = np.isfinite(values_um)
     box = bounding_box(known, 4)
     picture = on_paper(
         colour(values_um[box], -limit, limit, diverging=diverging), known[box].astype(np.float32)
     )
-    factor = min(1.0, LONGEST_PX / max(picture.shape[:2]))
+    factor = min(1.0, _LONGEST_PX / max(picture.shape[:2]))
     small = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     return small, max(picture.shape[:2]) / max(small.shape[:2])
 
@@ -165,7 +169,7 @@ def _picture(
     *,
     diverging: bool = False,
 ) -> Picture:
-    limit = APART_UM if diverging else HIGH_UM
+    limit = _APART_UM if diverging else _HIGH_UM
     picture, coarser = _coloured(values_um, diverging=diverging)
     legend = colour_bar(-limit, limit, "µm", diverging=diverging)
     return captioned(title, picture, caption, pair.pitch_mm * coarser, legend)

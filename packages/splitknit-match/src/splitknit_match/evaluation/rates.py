@@ -24,10 +24,10 @@ from scipy.special import betaincinv
 
 from splitknit.errors import require
 from splitknit.model import Array
-from splitknit_match.evaluation.parameters import CONFIDENCE, SLACK
 
 Values = Array
 Indices = NDArray[np.int64]
+Counts = NDArray[np.uint16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,16 +60,25 @@ class Ranked:
     sorting."""
 
     order: tuple[Indices, Indices]  # (N,) and (M,) places of genuine and impostor comparisons
-    # scores that there are, falling, from the lowest (0) to the highest of all (1)
-    scaled: tuple[Values, Values]
+    # mean of each class, lowest of all scores 0 and highest 1
+    mean: tuple[float, float]
+    # (2, N) and (2, M) distances of the scores that there are, falling, from it, and their squares
+    powers: tuple[Values, Values]
     threshold: Values  # (K,) falling; the first is infinite: nobody is accepted
-    accepted: Indices  # (K, 2) how many genuine and impostor comparisons each threshold accepts
+    accepted: Indices  # (2, K) how many genuine and impostor comparisons each threshold accepts
     corners: Indices  # thresholds that accept more genuine comparisons than the one before
 
-    def roc(self, weights: Sequence[Values]) -> Roc:
+    def roc(self, weights: Sequence[Counts]) -> Roc:
         """ROC where the comparisons of each class, falling, count `weights` (N,) and (M,) times."""
-        genuine, impostor = (np.append(0.0, np.cumsum(weight)) for weight in weights)
+        sums = [np.zeros(weight.size + 1, dtype=np.int32) for weight in weights]
+        for weight, total in zip(weights, sums, strict=True):
+            np.cumsum(weight, out=total[1:])
+        genuine, impostor = sums
         return Roc(self, weights, (genuine, impostor), (float(genuine[-1]), float(impostor[-1])))
+
+
+_SLACK = 1e-12
+"""Relative slack of rates: 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,14 +87,14 @@ class Roc:
     tie."""
 
     ranked: Ranked
-    weights: Sequence[Values]  # (N,) and (M,)
+    weights: Sequence[Counts]  # (N,) and (M,)
     # (N + 1,) and (M + 1,) weight of the highest 0, 1, 2 ... comparisons of each class
-    sums: tuple[Values, Values]
+    sums: tuple[NDArray[np.int32], NDArray[np.int32]]
     tried: tuple[float, float]  # genuine and impostor comparisons that a rate is relative to
 
     def accepted(self, side: int, places: Any = slice(None)) -> Any:
         """Weight of the genuine (0) or impostor (1) comparisons that thresholds accept."""
-        return self.sums[side][self.ranked.accepted[places, side]]
+        return self.sums[side][self.ranked.accepted[side, places]]
 
     @property
     def gar(self) -> Values:
@@ -135,9 +144,9 @@ class Roc:
     def places(self, targets: Sequence[float] | Values) -> Indices:
         """Last threshold whose FAR is not above each target. Ties are accepted together or not at
         all."""
-        allowed = np.array(targets) * self.tried[1] * (1 + SLACK)
-        most = np.searchsorted(self.sums[1], allowed, side="right") - 1
-        return np.searchsorted(self.ranked.accepted[:, 1], most, side="right") - 1
+        allowed = np.array(targets) * self.tried[1] * (1 + _SLACK)
+        most = np.searchsorted(self.sums[1], allowed.astype(np.int32), side="right") - 1
+        return np.searchsorted(self.ranked.accepted[1], most, side="right") - 1
 
     def gars(self, targets: Sequence[float] | Values) -> list[float]:
         """Genuine accept rate at the largest FAR not above each target."""
@@ -165,7 +174,7 @@ class Roc:
             far=accepted / self.tried[1],
             threshold=self._threshold(place),
             false_accepts=accepted,
-            resolved=target * self.tried[1] * (1 + SLACK) >= 1,
+            resolved=target * self.tried[1] * (1 + _SLACK) >= 1,
             far_upper=error_bound(0.0, int(self.tried[1])) if accepted == 0 else None,
         )
 
@@ -189,15 +198,18 @@ class Roc:
         figures it depends on the scores' scale. Source: J. Daugman, "Biometric decision
         landscapes", technical report 482, University of Cambridge, 2000.
         """
-        means, variances = [], []
-        for weight, scores in zip(self.weights, self.ranked.scaled, strict=True):
-            times = weight[: scores.size]
-            total = times.sum()
-            # in one thread: the same for any number of cores
-            means.append(np.einsum("n,n->", times, scores) / total)
-            variances.append(np.einsum("n,n->", times, (scores - means[-1]) ** 2) / total)
-        spread = float(np.sqrt(sum(variances) / 2))
-        return float(means[0] - means[1]) / spread if spread > 1e-9 else float("nan")
+        moments = [
+            powers @ weight[: powers.shape[1]].astype(float) / tried
+            for powers, weight, tried in zip(
+                self.ranked.powers, self.weights, self.scored().tried, strict=True
+            )
+        ]
+        (shift_g, square_g), (shift_i, square_i) = moments
+        variance = (square_g - shift_g**2 + square_i - shift_i**2) / 2
+        if variance < 1e-14 * (square_g + square_i) or variance < 1e-18:  # no more than rounding
+            return float("nan")
+        mean_g, mean_i = self.ranked.mean
+        return float((mean_g + shift_g - mean_i - shift_i) / np.sqrt(variance))
 
 
 def rank(genuine: Values, impostor: Values) -> Ranked:
@@ -209,11 +221,15 @@ def rank(genuine: Values, impostor: Values) -> Ranked:
     ]
     threshold = np.union1d(*falling)[::-1]
     counts = [np.searchsorted(-side, -threshold, side="right") for side in falling]
-    accepted = np.vstack([[0, 0], np.stack(counts, axis=1)])
-    corners = 1 + np.flatnonzero(np.diff(accepted[:, 0]))
+    accepted = np.vstack(counts)
+    accepted = np.insert(accepted, 0, 0, axis=1)
+    corners = 1 + np.flatnonzero(np.diff(accepted[0]))
     low, span = threshold[-1], float(np.ptp(threshold)) or 1.0
-    scaled = (falling[0] - low) / span, (falling[1] - low) / span
-    return Ranked(orders, scaled, np.append(np.inf, threshold), accepted, corners)
+    scaled = [(side - low) / span for side in falling]
+    mean = float(scaled[0].mean()), float(scaled[1].mean())
+    first, second = (side - middle for side, middle in zip(scaled, mean, strict=True))
+    powers = np.stack([first, first**2]), np.stack([second, second**2])
+    return Ranked(orders, mean, powers, np.append(np.inf, threshold), accepted, corners)
 
 
 def roc(genuine: Any, impostor: Any) -> Roc:
@@ -228,7 +244,10 @@ def roc(genuine: Any, impostor: Any) -> Roc:
             f"{name} scores must be finite numbers, or NaN where there is none; one is needed at"
             " least.",
         )
-    return rank(*sides).roc([np.ones(side.size) for side in sides])
+    return rank(*sides).roc([np.ones(side.size, dtype=np.uint16) for side in sides])
+
+
+CONFIDENCE = 0.95  # confidence of all intervals
 
 
 def error_bound(rate: float, trials: int) -> float:

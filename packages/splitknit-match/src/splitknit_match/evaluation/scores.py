@@ -27,7 +27,6 @@ from splitknit.errors import naming, require
 from splitknit.files import read_bytes
 from splitknit.io.csv_table import csv_text, plain_text
 from splitknit.model import Array, BoolArray
-from splitknit_match.evaluation.parameters import MAX_BYTES
 
 Indices = NDArray[np.int64]
 KINDS = ("finger", "subject", "session")
@@ -155,6 +154,9 @@ class ScoreFile:
     scores: Scores  # named by the file
     ignored: list[str]  # columns that were not read
     sha256: str
+
+
+MAX_BYTES = 500_000_000  # longest score file: ten million comparisons
 
 
 def read_scores(path: str | os.PathLike[str], *, dissimilarity: bool = False) -> ScoreFile:

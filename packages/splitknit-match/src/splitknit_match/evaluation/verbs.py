@@ -121,7 +121,7 @@ def evaluate_files(
         measured_by: str = method
     else:
         from splitknit_match.evaluation.gallery_scores import gallery_scores
-        from splitknit_match.gallery.file import key_of
+        from splitknit_match.gallery.file import key_of, readable_gallery
 
         require(
             not dissimilarity,
@@ -132,7 +132,9 @@ def evaluate_files(
         evaluation = replace(
             evaluation,
             inputs_sha256={str(gallery): compared.sha256},
-            findings=worst_first([*compared.findings, *evaluation.findings]),
+            findings=worst_first(
+                [*compared.findings, *evaluation.findings, *readable_gallery(gallery, key_file)]
+            ),
         )
         measured_by, tables = compared.method, {"scores.csv": compared.table}
     progress("report", 1.0)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from splitknit.arguments import Natural, Preset, checked
+from splitknit.arguments import Natural, Preset, Ridges, checked
 from splitknit.errors import naming, require
 from splitknit.model import Progress, no_progress
 from splitknit_match.gallery.file import Entry, People
@@ -18,7 +18,7 @@ from splitknit_match.gallery.identify import (
     Identification,
     identify_finger,
 )
-from splitknit_match.matching.inputs import Side, held, read_side
+from splitknit_match.matching.inputs import held, side_reader
 from splitknit_match.matching.match import Finger
 from splitknit_match.matching.template import unpack
 from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
@@ -64,7 +64,7 @@ class Candidates:
         entries, payloads = list(kept.entries.values()), dict(kept.templates)
         settings = kept.settings_sha256 if entries else ""
         for row, (name, template) in enumerate(templates.items(), self._rows + 1):
-            payload = held(template)
+            payload = naming(name, partial(held, template))
             require(isinstance(template, bytes), f"the template of '{name}' must be bytes.")
             assert isinstance(payload, bytes)
             of_minutiae = holds_minutiae(payload)
@@ -100,15 +100,13 @@ class Candidates:
         top: Natural = 10,
         fmr: float | None = None,
         resolution_ppi: float | None = None,
+        ridges: Ridges = None,
         preset: Preset = "metric",
         progress: Progress = no_progress,
     ) -> Identification:
         """Whose finger is it? Arguments, and what is raised, as of
         :func:`splitknit_match.identify`; ``person`` of a candidate is its name."""
-
-        def read(progress: Progress) -> Side:
-            return read_side(held(probe, resolution_ppi), preset, progress, resolution_ppi)
-
+        read = side_reader(probe, preset, resolution_ppi, ridges)
         return identify_finger(self._people, read, top=top, fmr=fmr, progress=progress)
 
 

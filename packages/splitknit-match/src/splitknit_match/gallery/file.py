@@ -14,10 +14,12 @@ import os
 import re
 import select
 import sqlite3
+import stat
 import threading
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -29,34 +31,41 @@ from splitknit.findings import Finding
 from splitknit.interrupts import UNFINISHED
 from splitknit.io.atomic import GROUP_READABLE, private_modes
 from splitknit.io.enrolment import FINGERS
-from splitknit_match.gallery.parameters import MAX_KEY_BYTES, MAX_NAME, WAIT_S, WRITER_S
+from splitknit.model import Progress, no_progress
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
+from splitknit_match.threads import one_blas_thread
 
 if TYPE_CHECKING:
-    from splitknit_match.gallery.minutia_index import CaptureMinutiae, MinutiaIndex
+    from splitknit_match.gallery.minutia_index import MinutiaIndex
+    from splitknit_match.matching.ridge import Prepared
 
 _log = logging.getLogger(__name__)
 
 APPLICATION_ID = 0x534B4741
 """``SKGA``, in the header of the file. Source: definition of the format."""
-VERSION = 4
+VERSION = 5
 """Version of the file. Source: definition of the format."""
 KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY"
 _MAGIC = b"SQLite format 3\0"
-_SCHEMA = (
-    (
+_JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
+_SCHEMA = {
+    "about": (
         "CREATE TABLE about (settings_sha256 TEXT NOT NULL, template_version INTEGER NOT NULL, "
         "changes INTEGER NOT NULL, erasing INTEGER NOT NULL) STRICT"
     ),
-    (
+    "capture": (
         "CREATE TABLE capture (id INTEGER PRIMARY KEY, person INTEGER NOT NULL REFERENCES person,"
         " finger TEXT NOT NULL, session TEXT NOT NULL, kind TEXT NOT NULL, source_sha256 TEXT NOT"
         " NULL, area_mm2 REAL NOT NULL, failure TEXT NOT NULL, enrolled_at TEXT NOT NULL,"
-        " template_sha256 TEXT NOT NULL, template BLOB NOT NULL, UNIQUE (person, finger, session))"
-        " STRICT"
+        " template_sha256 TEXT NOT NULL, template BLOB NOT NULL, minutiae BLOB NOT NULL, UNIQUE"
+        " (person, finger, session)) STRICT"
     ),
-    "CREATE TABLE person (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE) STRICT",
-)
+    "person": "CREATE TABLE person (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE) STRICT",
+    "sqlite_autoindex_capture_1": None,
+    "sqlite_autoindex_person_1": None,
+}
+"""All that ``sqlite_master`` lists, in this order: names and statements."""
+_NO_TABLES = "its tables are not a gallery's"
 _FIELDS = ("kind", "source_sha256", "area_mm2", "failure", "enrolled_at", "template_sha256")
 _PRAGMAS = (
     "trusted_schema=OFF",
@@ -64,8 +73,8 @@ _PRAGMAS = (
     "foreign_keys=ON",
     "secure_delete=ON",
     "temp_store=MEMORY",  # what VACUUM copies never lies in another file
-    "synchronous=EXTRA",
 )
+"""None of them parses the tables, which :func:`_tables_of` reads before."""
 
 
 class Unavailable(BadInput):
@@ -133,6 +142,9 @@ class NewCapture:
     """Payload (:func:`splitknit_match.matching.template.pack`), empty for a failure to acquire."""
 
 
+MAX_NAME = 100  # longest name of a person
+
+
 def check_person(text: Any) -> str:
     """Return `text` in one normal form (NFC) if it can be a person's name. Raises BadInput."""
     require(isinstance(text, str), f"a person's name is a text, not {text!r}.")
@@ -183,6 +195,9 @@ class Key:
         return f"PRAGMA key = '{quoted}'"
 
 
+_MAX_KEY_BYTES = 4096  # longest file of a key
+
+
 def key_of(file: Key | AnyPath | None) -> Key | None:
     """Key from a file or a pipe, else from the environment; None where neither has one.
 
@@ -194,10 +209,11 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
         content, where = b"", f"the key file {shown_path(file)}"
         try:
             with open(file, "rb", opener=open_at_once) as stream:
-                select.select([stream], [], [], WRITER_S)
+                # how long a pipe may be without a program that writes into it
+                select.select([stream], [], [], 2.0)
                 # a writer takes as long as it likes: it may ask for a password
                 os.set_blocking(stream.fileno(), True)
-                content = stream.read(MAX_KEY_BYTES + 1)
+                content = stream.read(_MAX_KEY_BYTES + 1)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise BadInput(f"{where} cannot be read: {reason}.") from error
@@ -207,7 +223,7 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
         return None
     text = unicodedata.normalize("NFC", content.decode("utf-8", "replace").rstrip("\r\n"))
     sound = (
-        len(content) <= MAX_KEY_BYTES
+        len(content) <= _MAX_KEY_BYTES
         and text.isprintable()
         and "\ufffd" not in text
         and len(text) >= 8
@@ -232,6 +248,10 @@ def readable_gallery(gallery: AnyPath, key_file: AnyPath | None) -> tuple[Findin
     return (*readable(Path(gallery), "gallery", others), *keys)
 
 
+_PREPARED = 64
+"""Templates that are kept ready, 2 to 5 MB each. Chosen on: memory."""
+
+
 class People:
     """What a gallery held at one time, in memory; threads may share it."""
 
@@ -241,16 +261,25 @@ class People:
         settings_sha256: str,
         entries: list[Entry],
         templates: dict[int, bytes],
-        minutiae: dict[int, CaptureMinutiae | None],
+        minutiae: dict[int, bytes],
     ) -> None:
-        """Take over what was read; `minutiae`: those that are known of some rows."""
+        """Take over what was read; `minutiae`: of some rows, as
+        :func:`splitknit_match.gallery.minutia_index.kept_minutiae` makes them."""
         self.path = path
         self.settings_sha256 = settings_sha256
         self.entries = {entry.row: entry for entry in entries}
         self.templates = templates
         self.minutiae = minutiae
+        self.prepared = lru_cache(_PREPARED)(self._prepare)
         self._index: MinutiaIndex | None = None
         self._lock = threading.Lock()
+
+    def _prepare(self, row: int) -> Prepared:
+        """Template of a row, ready to be compared. Raises BadInput, naming the row."""
+        from splitknit_match.gallery.minutia_index import unpacked
+        from splitknit_match.matching.ridge import Prepared
+
+        return Prepared(unpacked(self.path, row, self.templates[row]))
 
     def of(self, person: str | None, finger: str | None) -> list[Entry]:
         """Entries of a person, a finger, or all, in the order of enrolment."""
@@ -269,16 +298,19 @@ class People:
         require(entries or not words, missing)
         return entries
 
-    def index(self) -> MinutiaIndex:
+    def index(self, progress: Progress = no_progress) -> MinutiaIndex:
         """Index of the minutiae of all templates."""
         # a list of names needs none of it
         from splitknit_match.gallery.minutia_index import MinutiaIndex
 
         with self._lock:
             if self._index is None:
-                self._index = MinutiaIndex(self.templates, self.path, self.minutiae)
+                self._index = MinutiaIndex(self.templates, self.path, self.minutiae, progress)
                 self.minutiae = self._index.minutiae
             return self._index
+
+
+WAIT_S = 10.0  # how long one waits for another program's transaction
 
 
 class GalleryFile:
@@ -359,16 +391,13 @@ class GalleryFile:
                 return kept
             entries = self._entries(database, person)
             earlier = kept or People(self.path, "", [], {}, {})
-            same = {entry.row for entry in entries if earlier.entries.get(entry.row) == entry}
-            templates = {
-                entry.row: (
-                    earlier.templates[entry.row]
-                    if entry.row in same
-                    else self._template(database, entry)
-                )
-                for entry in entries
-            }
-            minutiae = {row: sides for row, sides in earlier.minutiae.items() if row in same}
+            templates, minutiae = dict[int, bytes](), dict[int, bytes]()
+            for entry in entries:
+                row = entry.row
+                if earlier.entries.get(row) == entry:
+                    templates[row], minutiae[row] = earlier.templates[row], earlier.minutiae[row]
+                else:
+                    templates[row], minutiae[row] = self._read(database, entry)
             people = People(self.path, _settings_of(database), entries, templates, minutiae)
             if person is None:
                 self._kept = state, people
@@ -396,14 +425,15 @@ class GalleryFile:
         except BadInput as error:
             raise Unavailable(self._damaged(str(error).rstrip("."))) from error
 
-    def _template(self, database: Any, entry: Entry) -> bytes:
-        (template,) = database.execute(
-            "SELECT template FROM capture WHERE id = ?", (entry.row,)
+    def _read(self, database: Any, entry: Entry) -> tuple[bytes, bytes]:
+        """Template and minutiae of a capture."""
+        template, minutiae = database.execute(
+            "SELECT template, minutiae FROM capture WHERE id = ?", (entry.row,)
         ).fetchone()
         sound = hashlib.sha256(template).hexdigest() == entry.template_sha256
         cure = "take it out with 'splitknit gallery remove', and enrol it again"
         require(sound, f"the template of {entry.words} in '{self.path}' is damaged; {cure}.")
-        return bytes(template)
+        return bytes(template), bytes(minutiae)
 
     # What changes it.
 
@@ -426,10 +456,15 @@ class GalleryFile:
         Raises BadInput if another capture has these names (person, finger, session) and `replaces`
         is false.
         """
+        from splitknit_match.gallery.minutia_index import each, minutiae_of  # a list needs none
+
+        several = list(captures)
+        one_blas_thread()
+        minutiae = list(each(minutiae_of, [capture.template for capture in several]))
         new = []
-        with self._changing(settings_sha256) as database:
+        with self._changing(settings_sha256) as (database, _):
             first()
-            for capture in captures:
+            for capture, own in zip(several, minutiae, strict=True):
                 digest = hashlib.sha256(capture.template).hexdigest()
                 entry = replace(capture.entry, template_sha256=digest)
                 earlier = self._entries(database, *entry.names)
@@ -440,9 +475,10 @@ class GalleryFile:
                 new.append(not any(same))
                 if any(same):
                     continue
-                fault = f"{entry.words} is in '{self.path}' already, made from something else"
                 require(
-                    replaces or not earlier, f"{fault}; name another session, or give `replace`."
+                    replaces or not earlier,
+                    f"{entry.words} is in '{self.path}' already, made from something else; name"
+                    " another session, or give `replace`.",
                 )
                 if earlier:
                     _delete(database, *entry.names)
@@ -451,7 +487,7 @@ class GalleryFile:
                     "SELECT id FROM person WHERE name = ?", (entry.person,)
                 ).fetchone()
                 facts = [getattr(entry, name) for name in _FIELDS]
-                values = [None, person, entry.finger, entry.session, *facts, capture.template]
+                values = [None, person, entry.finger, entry.session, *facts, capture.template, own]
                 database.execute(
                     f"INSERT INTO capture VALUES (?{', ?' * (len(values) - 1)})", values
                 )
@@ -469,9 +505,10 @@ class GalleryFile:
     ) -> int:
         """Remove captures so that nothing of them remains in the file; return how many there were.
 
-        `last`: as of :meth:`add`. Raises BadInput if there are none.
+        `last`: as of :meth:`add`. Raises BadInput if there are none, but for 0 that stands for
+        earlier ones whose bytes another program kept in the file until now.
         """
-        with self._changing() as database:
+        with self._changing() as (database, erased):
             removed = _delete(database, check_person(person), finger, session)
             words = ", ".join(
                 word for word in (person, finger, session and f"session {session}") if word
@@ -480,7 +517,7 @@ class GalleryFile:
                 f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is"
                 " in it."
             )
-            require(removed > 0, missing)
+            require(removed > 0 or erased, missing)
             last()
         _log.info("removed %d captures", removed)
         return removed
@@ -490,42 +527,51 @@ class GalleryFile:
     @contextlib.contextmanager
     def _reading(self) -> Iterator[Any]:
         """One state of the gallery, whatever others write meanwhile."""
-        with self._refusing():
+        with self._refusing("the gallery cannot be read"):
             require(self.there, f"there is no gallery '{self.path}'; 'splitknit enroll' makes one.")
             with contextlib.closing(self._connect()) as database, _transaction(database, "BEGIN"):
                 self._check(database)
                 yield database
 
     @contextlib.contextmanager
-    def _changing(self, settings_sha256: str | None = None) -> Iterator[Any]:
+    def _changing(self, settings_sha256: str | None = None) -> Iterator[tuple[Any, bool]]:
         """All or nothing; a writer waits for other writers first. With settings a missing gallery
-        is made."""
+        is made. Also yields whether what was removed earlier is erased only now."""
         there = self.there
         require(there or settings_sha256 is not None, f"there is no gallery '{self.path}'.")
-        with self._refusing():
+        with self._refusing("the gallery was not changed"):
             if not there:
                 self.path.touch(private_modes()[0])
             place = _stamp_of(self.path)
             try:
                 with contextlib.closing(self._connect()) as database:
-                    if _has_tables(database):
+                    made = bool(_tables_of(database))
+                    if made:
                         self._check(database)
+                    database.execute("PRAGMA synchronous=EXTRA")
+                    erased = made and _is_erasing(database)
+                    if erased:
                         self._erase(database)
                     with _transaction(database, "BEGIN IMMEDIATE"):
-                        if not _has_tables(database):
+                        if not _tables_of(database):
                             _make(database, settings_sha256 or "")
                         self._check(database)
                         self.require_comparable(_settings_of(database), settings_sha256)
-                        yield database
+                        yield database, erased
                         now = _stamp_of(self.path)
                         same = now is not None and place is not None and now[:2] == place[:2]
                         fault = (
                             f"'{self.path}' was replaced or removed meanwhile; run the same again."
                         )
                         require(same, fault, Unavailable)
+                        erasing = _is_erasing(database)
+                    # it is changed now: on a full disk the change stays in the log
                     with contextlib.suppress(self._driver.OperationalError):
                         database.execute("PRAGMA journal_mode=WAL")
-                    self._erase(database)
+                    if erasing:
+                        self._erase(database)
+                    with contextlib.suppress(self._driver.OperationalError):
+                        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             except BaseException:
                 if not there and not self.there:  # it appears with its first finger, or not at all
                     self.path.unlink(missing_ok=True)
@@ -537,19 +583,16 @@ class GalleryFile:
         page that it divided may hold a second copy of a row. A writer that was killed before leaves
         it to the next.
         """
-        (erasing,) = database.execute("SELECT erasing FROM about").fetchone()
-        if erasing:
-            try:
-                database.execute("VACUUM")
-                busy = database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
-                require(not busy, "another program reads it", Unavailable)
-                database.execute("UPDATE about SET erasing = 0")
-            except (self._driver.Error, Unavailable) as error:
-                raise Unavailable(
-                    f"what was removed from '{self.path}' is no longer listed, but its bytes may"
-                    f" still lie in the file ({shown_path(str(error))}); run the same again."
-                ) from error
-        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        try:
+            database.execute("VACUUM")
+            busy = database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
+            require(not busy, "another program reads it", Unavailable)
+            database.execute("UPDATE about SET erasing = 0")
+        except (self._driver.Error, Unavailable) as error:
+            raise Unavailable(
+                f"what was removed from '{self.path}' is no longer listed, but its bytes may"
+                f" still lie in the file ({shown_path(str(error))}); run the same again."
+            ) from error
 
     def require_comparable(self, own: str, settings_sha256: str | None) -> None:
         """Raise BadInput if its templates (`own`) were made with other settings: nothing is
@@ -563,10 +606,13 @@ class GalleryFile:
     def _connect(self) -> Any:
         """A connection of its own."""
         require(self.path.is_file(), f"'{self.path}' is not a file; name the file of a gallery.")
+        path = self.path.resolve()
+        for end in ("-journal", "-wal", "-shm"):
+            _require_its_own(path.with_name(path.name + end))
         writable = os.access(self.path, os.W_OK) and os.access(self.path.parent, os.W_OK)
         mode = "mode=rw" if writable else "mode=ro&immutable=1"
         database = self._driver.connect(
-            f"{self.path.resolve().as_uri()}?{mode}", uri=True, timeout=WAIT_S, isolation_level=None
+            f"{path.as_uri()}?{mode}", uri=True, timeout=WAIT_S, isolation_level=None
         )
         try:
             for statement in (
@@ -575,11 +621,6 @@ class GalleryFile:
                 database.execute(statement)
             for pragma in _PRAGMAS:
                 database.execute(f"PRAGMA {pragma}")
-            place = (_stamp_of(self.path) or ())[:2]
-            if place != self._sound:
-                (fault,) = database.execute("PRAGMA quick_check(1)").fetchone()
-                require(fault == "ok", self._damaged(shown_path(fault)), Unavailable)
-                self._sound = place
         except BaseException:
             database.close()
             raise
@@ -589,8 +630,9 @@ class GalleryFile:
         """Raise BadInput if it is not a gallery, or of another version."""
         (application,) = database.execute("PRAGMA application_id").fetchone()
         (version,) = database.execute("PRAGMA user_version").fetchone()
+        tables = _tables_of(database)
         require(
-            _has_tables(database),
+            tables,
             f"there is no gallery '{self.path}'; 'splitknit enroll' makes one.",
         )
         fault = f"'{self.path}' is another program's database, not a gallery; name another file."
@@ -601,11 +643,15 @@ class GalleryFile:
             f" {VERSION}; export it with the program that wrote it and import that here, or enrol"
             " the fingers again.",
         )
-        tables = database.execute(
-            "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name"
-        ).fetchall()
-        sound = [sql for (sql,) in tables] == [*_SCHEMA]
-        require(sound, self._damaged("its tables are not a gallery's"), Unavailable)
+        require(tables == [*_SCHEMA.items()], self._damaged(_NO_TABLES), Unavailable)
+        place = (_stamp_of(self.path) or ())[:2]
+        if place != self._sound:
+            # a bit of memory a page; a gallery of a terabyte has so many
+            (pages,) = database.execute("PRAGMA page_count").fetchone()
+            require(pages <= 2**28, self._damaged("it has too many pages"), Unavailable)
+            (fault,) = database.execute("PRAGMA quick_check(1)").fetchone()
+            require(fault == "ok", self._damaged(shown_path(fault)), Unavailable)
+            self._sound = place
         versions = database.execute("SELECT template_version FROM about").fetchall()
         require(len(versions) == 1, self._damaged("its own record is missing"), Unavailable)
         require(
@@ -615,7 +661,7 @@ class GalleryFile:
         )
 
     @contextlib.contextmanager
-    def _refusing(self) -> Iterator[None]:
+    def _refusing(self, outcome: str) -> Iterator[None]:
         """Turn errors of SQLite and of the system into one sentence."""
         path = self.path
         try:
@@ -633,6 +679,10 @@ class GalleryFile:
                 f"another program is writing the gallery '{path}'; nothing was changed: run the"
                 " same again."
             )
+            full = (
+                f"the disk of '{path}' is full, or cannot be used: {outcome}; make room, and run"
+                " the same again."
+            )
             faults = {
                 5: busy,
                 6: busy,
@@ -640,10 +690,9 @@ class GalleryFile:
                     f"the gallery '{path}' may not be written here; change its permissions, or"
                     " copy it."
                 ),
-                13: (
-                    f"the disk of '{path}' is full; the gallery is as it was before: make room, run"
-                    " the same again."
-                ),
+                10: full,  # SQLITE_IOERR: no room for the index of the log
+                13: full,
+                18: self._damaged(_NO_TABLES),  # a text is longer than those of a gallery's
                 14: (
                     f"the gallery '{path}' cannot be opened, or its folder cannot be written; check"
                     " the permissions."
@@ -683,22 +732,65 @@ def _stamp_of(path: Path) -> tuple[int, ...] | None:
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
+def _require_its_own(path: Path) -> None:
+    """Refuse what lies beside a gallery and would lead SQLite to another file: a link, a pipe, or a
+    journal that ends with the name of a *super-journal* (``pager.c``, readSuperJournal), which
+    SQLite deletes; only changes of several databases at once have one."""
+    with contextlib.suppress(FileNotFoundError):
+        status = path.lstat()
+        sound = stat.S_ISREG(status.st_mode) and status.st_nlink <= 1
+        if sound and path.name.endswith("-journal"):
+            with open(path, "rb", opener=open_at_once) as stream:
+                stream.seek(max(status.st_size - len(_JOURNAL_MAGIC), 0))
+                sound = stream.read(len(_JOURNAL_MAGIC)) != _JOURNAL_MAGIC
+        require(
+            sound,
+            f"'{path}' leads to another file, or is no plain file; no gallery has such a one: move"
+            " it away, and run the same again.",
+            Unavailable,
+        )
+
+
 def _sqlcipher() -> Any:
     with importing("encrypted galleries need SQLCipher: pip install 'splitknit-match[encrypt]'."):
         from sqlcipher3 import dbapi2
     return dbapi2
 
 
-def _has_tables(database: Any) -> bool:
-    return bool(database.execute("PRAGMA schema_version").fetchone()[0])
+def _tables_of(database: Any) -> list[tuple[str, str | None]]:
+    """What ``sqlite_master`` lists, up to one row more than a gallery has.
+
+    SQLite parses all of it with the first statement that needs a table, and even evaluates
+    expressions of a table ``sqlite_stat1``. Interrupted, it takes what it has as all where the
+    schema may be written, so that here nothing is parsed.
+    """
+    limited = isinstance(database, sqlite3.Connection)  # SQLCipher's module has no limits
+    if limited:
+        longest = database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 10_000)  # bytes; ours have 500
+    database.execute("PRAGMA writable_schema=ON")
+    database.set_progress_handler(True.__bool__, 1)  # in Python's code Ctrl-C would be lost
+    with contextlib.suppress(database.OperationalError):
+        database.execute("PRAGMA page_count")
+    database.set_progress_handler(None, 0)
+    query = f"SELECT name, sql FROM sqlite_master LIMIT {len(_SCHEMA) + 1}"
+    tables = sorted(database.execute(query), key=lambda row: str(row[0]))
+    database.execute("PRAGMA writable_schema=RESET")
+    if limited:
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, longest)
+    return tables
 
 
 def _make(database: Any, settings_sha256: str) -> None:
-    for statement in _SCHEMA:
+    for statement in filter(None, _SCHEMA.values()):
         database.execute(statement)
     database.execute("INSERT INTO about VALUES (?, ?, 0, 0)", (settings_sha256, TEMPLATE_VERSION))
     database.execute(f"PRAGMA application_id={APPLICATION_ID}")
     database.execute(f"PRAGMA user_version={VERSION}")
+
+
+def _is_erasing(database: Any) -> bool:
+    """Whether captures were deleted, and the file not written anew since."""
+    return bool(database.execute("SELECT erasing FROM about").fetchone()[0])
 
 
 def _settings_of(database: Any) -> str:

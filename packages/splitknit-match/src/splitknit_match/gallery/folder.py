@@ -20,7 +20,6 @@ from splitknit.io.provenance import json_text
 from splitknit.io.targets import check_target
 from splitknit_match.gallery.file import Entry, GalleryFile, NewCapture, check_person
 from splitknit_match.gallery.gallery import content_of
-from splitknit_match.gallery.parameters import MAX_TABLE_BYTES
 from splitknit_match.matching.template import VERSION, unpack
 from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit_match.records.templates import encode_template, read_template
@@ -106,7 +105,8 @@ def _read_settings(folder: Path) -> str:
 
 def _read_table(folder: Path) -> list[NewCapture]:
     file = folder / TABLE_FILE
-    data = read_bytes(file, MAX_TABLE_BYTES)
+    # longest table of an exported folder: a quarter of a million captures
+    data = read_bytes(file, 50_000_000)
     with refusing(f"'{file}' cannot be read as a table; export the gallery again."):
         rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
     require(rows, f"'{file}' lists no finger.")

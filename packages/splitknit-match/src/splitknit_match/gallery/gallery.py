@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from splitknit import BadInput, Capture, Reconstruction, read_capture
-from splitknit.arguments import AnyPath, Natural, Preset, checked
+from splitknit.arguments import AnyPath, Natural, Preset, Ridges, checked
 from splitknit.errors import require
 from splitknit.findings import Finding, Severity, worst_first
 from splitknit.io.provenance import file_hash
@@ -40,7 +40,6 @@ from splitknit_match.gallery.identify import (
     RankedCandidate,
     identify_finger,
 )
-from splitknit_match.gallery.parameters import DISSIMILAR_FMR
 from splitknit_match.matching.inputs import (
     Held,
     Pixels,
@@ -48,11 +47,14 @@ from splitknit_match.matching.inputs import (
     held,
     is_of_minutiae,
     read_side,
+    side_reader,
     undoubted,
+    with_print,
 )
 from splitknit_match.matching.match import Finger
 from splitknit_match.matching.methods import side_minutiae
 from splitknit_match.matching.results import one_in
+from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import mirrored
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
@@ -76,6 +78,8 @@ class Enrolling:
     """Whether the time of enrolment is kept."""
     resolution_ppi: float | None = None
     """Resolution of prints whose files do not state it."""
+    ridges: str | None = None
+    """``dark`` or ``light`` ridges of prints, where it is known."""
     where: PhotoFinger = field(default_factory=PhotoFinger)
     """Which finger of a photograph."""
 
@@ -174,17 +178,14 @@ class Gallery(GalleryFile):
         fmr: float | None = None,
         merge: Merge = "person",
         resolution_ppi: float | None = None,
+        ridges: Ridges = None,
         preset: Preset = "metric",
         progress: Progress = no_progress,
     ) -> Identification:
         """Who is it? Arguments, and what is raised, as of :func:`splitknit_match.identify`."""
-
-        def read(progress: Progress) -> Side:
-            return read_side(held(probe, resolution_ppi), preset, progress, resolution_ppi)
-
         return identify_finger(
             self,
-            read,
+            side_reader(probe, preset, resolution_ppi, ridges),
             top=top,
             person=person,
             finger=finger,
@@ -194,7 +195,6 @@ class Gallery(GalleryFile):
         )
 
     @checked
-    @one_blas_thread()
     def enroll(
         self,
         finger_of: Finger | Sequence[Finger],
@@ -203,6 +203,7 @@ class Gallery(GalleryFile):
         *,
         session: str | None = None,
         resolution_ppi: float | None = None,
+        ridges: Ridges = None,
         duplicates: Duplicates = "warn",
         how: Enrolling | None = None,
         put_down: Callable[[], object] = lambda: None,
@@ -215,12 +216,15 @@ class Gallery(GalleryFile):
         log; what it raises undoes it. A source other than a template from which nothing was
         acquired is refused.
         """
+        one_blas_thread()
         how = how or Enrolling()
         ppi = how.resolution_ppi if resolution_ppi is None else resolution_ppi
         several: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
-        sources = [held(source, ppi) for source in several]
+        how = replace(how, ridges=ridges or how.ridges)
+        sources = [held(source, ppi, how.ridges) for source in several]
         if any(isinstance(source, Pixels) for source in sources):
             ppi = None  # beside arrays it is theirs
+            how = replace(how, ridges=None)
         how = replace(how, resolution_ppi=ppi)
         kinds = "a capture, a result, a template (.skt), a print or a record of minutiae"
         require(sources, f"name {kinds} to enrol.")
@@ -287,6 +291,7 @@ def enroll(
     session: str | None = None,
     key: Key | AnyPath | None = None,
     resolution_ppi: float | None = None,
+    ridges: Ridges = None,
     duplicates: Duplicates = "warn",
     how: Enrolling | None = None,
     progress: Progress = no_progress,
@@ -304,6 +309,8 @@ def enroll(
         File with the key of an encrypted gallery.
     resolution_ppi : float, optional
         Pixels per inch of arrays; where none is an array, of the files.
+    ridges : {"dark", "light"}, optional
+        As of :func:`splitknit_match.match`.
     duplicates : {"refuse", "warn", "allow"}
         What to do about one that matches another person's (of the person's own fingers it is only
         said), at a false match rate of 1 in 10,000 a comparison (of small prints at the smallest
@@ -329,10 +336,16 @@ def enroll(
             finger,
             session=session,
             resolution_ppi=resolution_ppi,
+            ridges=ridges,
             duplicates=duplicates,
             how=how,
             progress=progress,
         )
+
+
+_DISSIMILAR_FMR = 0.01
+"""False match rate from which on captures of one finger are called dissimilar: so often other
+fingers are at least as similar."""
 
 
 class _Review:
@@ -397,7 +410,7 @@ class _Review:
         person, finger = self.names
         own = identify_finger(self.gallery, lambda _: side, person=person, finger=finger)
         fmr = own.candidates[0].fmr if own.candidates else None
-        if own.answer != "no match" or fmr is None or fmr < DISSIMILAR_FMR:
+        if own.answer != "no match" or fmr is None or fmr < _DISSIMILAR_FMR:
             return []
         assert side.template is not None
         turned = replace(side, template=mirrored(side.template))
@@ -469,11 +482,11 @@ def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = Fal
     own = gallery.settings_sha256
     if own == MINUTIAE_HASH:
         return own
-    fault = (
+    require(
+        not of_minutiae,
         f"'{gallery.path}' keeps templates of ridges, which records of minutiae cannot be compared"
-        " with"
+        " with; enrol them into a gallery of their own.",
     )
-    require(not of_minutiae, f"{fault}; enrol them into a gallery of their own.")
     gallery.require_comparable(own, sha256)
     return own
 
@@ -507,7 +520,12 @@ def made_of(
 ) -> Made:
     """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be
     reconstructed."""
-    side = undoubted(read_side(path, how.preset, progress, how.resolution_ppi, where=how.where))
+    side = undoubted(
+        read_side(
+            path, how.preset, progress, how.resolution_ppi, ridges=how.ridges, where=how.where
+        )
+    )
+    side = side if of_minutiae else with_print(side)
     minutiae = side_minutiae(side) if of_minutiae else side.minutiae
     compared = replace(side, surface=None, picture=None, minutiae=minutiae)
     if of_minutiae:
@@ -550,7 +568,7 @@ def made_or_failed(path: Path, how: Enrolling) -> Made | str:
 def source_hash(path: Path | Held) -> str:
     """SHA-256 of a source: of a file, or of names and hashes of the files of a capture (without its
     truth)."""
-    if isinstance(path, Capture | Reconstruction):
+    if isinstance(path, Capture | Reconstruction | Prepared):
         raise BadInput(
             "a capture or a result is enrolled from its folder; give its path, or the bytes of a"
             " template."

@@ -25,21 +25,21 @@ from splitknit_match.gallery.file import (
     known_finger,
     session_order,
 )
-from splitknit_match.gallery.minutia_index import each, unpacked
-from splitknit_match.gallery.parameters import ALL_PRINTS, NEAREST
-from splitknit_match.matching.fusion import fused_match, with_fusion
-from splitknit_match.matching.inputs import Side
+from splitknit_match.gallery.minutia_index import each
+from splitknit_match.matching.fusion import by_ridges
+from splitknit_match.matching.inputs import Side, with_print
 from splitknit_match.matching.methods import (
+    DECIDED_AT,
+    Compared,
     check_rate,
+    compare_minutiae,
+    compare_templates,
     fmr_basis,
-    rate,
     reason,
     scale_doubt,
-    scores_of,
     side_minutiae,
     similarity_at,
 )
-from splitknit_match.matching.parameters import DECIDED_AT
 from splitknit_match.matching.results import (
     ComparedSide,
     FmrBasis,
@@ -50,9 +50,8 @@ from splitknit_match.matching.results import (
     noted,
     one_in,
 )
-from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
 from splitknit_match.threads import one_blas_thread
 
@@ -128,8 +127,6 @@ class Identification:
     """``match``, ``no match``, ``undecided``, or ``not acquired``."""
     undecided: str | None
     """Why the answer is neither ``match`` nor ``no match``, and what it takes."""
-    presentation: str | None = None
-    """``live`` or ``unknown``, where attacks were to be refused."""
     findings: tuple[Finding, ...] = ()
     """What was assumed of the probe, which captures were left out, and what is in doubt: then the
     answer is undecided."""
@@ -148,19 +145,16 @@ class _Comparison:
     """The probe beside one capture."""
 
     entry: Entry
-    similarity: float
-    minutiae: float | None = None
-    """Similarity of minutiae alone."""
-    overlap_mm2: float | None = None
-
-    def rated(self, table: str, area_mm2: float, fmr: float | None) -> Rated:
-        """By the impostors of what was compared: area and minutiae."""
-        areas = area_mm2, self.entry.area_mm2
-        scores = table if table == "minutiae_of_prints" else scores_of(table, areas, self.minutiae)
-        return rate(self.similarity, scores, self.overlap_mm2, fmr)
+    method: str
+    """``ridge``, ``fusion`` or ``minutiae``."""
+    pair: Compared
 
 
-@one_blas_thread()
+_NEAREST = 0.001
+"""Fraction of a larger gallery that is compared, or as many as are to be reported: those whose
+minutiae agree best. Chosen on: speed (what is lost: real prints, validation/gallery/index.py)."""
+
+
 def identify_finger(
     gallery: GalleryFile | People,
     read: Callable[[Progress], Side],
@@ -178,6 +172,7 @@ def identify_finger(
     `gallery`: a file, or what was read of one. `read`: reads the probe, once all else is known to
     be sound.
     """
+    one_blas_thread()
     started = time.perf_counter()
     _check(top, finger, fmr, merge)
     person = None if person is None else check_person(person)
@@ -191,6 +186,17 @@ def identify_finger(
         progress(stage, 0.5 * fraction)
 
     side = read(reading)
+    side = side if of_minutiae else with_print(side)
+    if side.either and not of_minutiae:
+        how: Any = {"top": top, "person": person, "finger": finger, "fmr": fmr, "merge": merge}
+        dark, light = (
+            partial(lambda part, _: part, side.reading(light=light)) for light in (False, True)
+        )
+        first = identify_finger(gallery, dark, **how, progress=progress)
+        if first.answer == "match":
+            return first
+        second = identify_finger(gallery, light, **how, progress=progress)
+        return second if second.answer == "match" else first
     probe = side_minutiae(side) if of_minutiae else side.template
     if probe is None:
         cure = "name a print, or enrol minutiae"
@@ -199,18 +205,17 @@ def identify_finger(
     area_mm2 = 0.0 if isinstance(probe, Minutiae) else probe.area_mm2
 
     of_everybody = person is None and finger is None
-    most = max(top, round(NEAREST * len(entries))) if of_everybody else len(entries)
-    comparisons, searched, findings = _search(people, probe, entries, most=most, progress=progress)
-    table = {"minutiae": "minutiae_of_prints"}.get(searched.compared_by, searched.compared_by)
-    if table == "fusion" and side.kind == "photo":
-        table = "fingerphotos"
-    best = _merged(comparisons, merge)[:top]
-    rated = [comparison.rated(table, area_mm2, fmr) for comparison in best]
+    most = max(top, round(_NEAREST * len(entries))) if of_everybody else len(entries)
+    best, searched, findings = _search(
+        people, probe, entries, most=most, merge=merge, top=top, progress=progress
+    )
+    table = "minutiae_of_prints" if of_minutiae else searched.compared_by
+    rated = [comparison.pair.rated(fmr) for comparison in best]
     candidates = tuple(
         RankedCandidate(
             rank,
             *comparison.entry.names,
-            comparison.similarity,
+            comparison.pair.similarity,
             rates.fmr,
             None if rates.fmr is None else searched.captures * rates.fmr,
         )
@@ -218,10 +223,10 @@ def identify_finger(
     )
 
     doubt = side.doubt
-    undoubted = doubt is None and searched.compared == searched.captures and table == "fusion"
-    if isinstance(probe, Template) and undoubted and rated and rated[0].answer != "match":
-        row = best[0].entry.row
-        doubt = scale_doubt(probe, unpacked(people.path, row, people.templates[row]), fmr)
+    undoubted = doubt is None and searched.compared == searched.captures
+    undoubted = undoubted and bool(rated) and rated[0].answer != "match"
+    if isinstance(probe, Template) and undoubted and _of_prints(best[0]):
+        doubt = scale_doubt(probe, people.prepared(best[0].entry.row).template, fmr)
         findings += [] if doubt is None else [doubt]
     decision, undecided = _decided(rated, table, fmr, searched.captures)
     if doubt is not None and not (decision and decision.match):  # a match confirms the scale
@@ -289,26 +294,39 @@ def _decided(
     )
 
 
+def _of_prints(comparison: _Comparison) -> bool:
+    """Whether two prints were compared whose scales are known, so that one may be wrong."""
+    return comparison.method == "fusion" and "photo" not in comparison.pair.scores
+
+
+ALL_PRINTS = 200
+"""In a gallery of no more captures all are compared. Chosen on: speed."""
+
+
 def _search(
     people: People,
     probe: Template | Minutiae,
     entries: Sequence[Entry],
     *,
     most: int,
+    merge: str,
+    top: int,
     progress: Progress,
 ) -> tuple[list[_Comparison], Searched, list[Finding]]:
-    """Compare these, or of many the `most` whose minutiae agree best; best first."""
+    """Compare these, or of many the `most` whose minutiae agree best; the `top` of each person or
+    finger, best first."""
     acquired = [entry for entry in entries if entry.template_bytes > 0]
     compared_by = "ridge"
+    support: float | None = None
     findings: list[Finding] = []
     comparisons: list[_Comparison] = []
     if isinstance(probe, Minutiae):
         compared_by = "minutiae"
         comparisons = _by_minutiae(people, probe, acquired)
     elif not probe.empty and acquired:
-        prepared, chosen, support = Prepared(probe), acquired, None
+        prepared, chosen = Prepared(probe), acquired
         if len(acquired) > max(most, ALL_PRINTS) and prepared.cylinders is not None:
-            index = people.index()
+            index = people.index(progress)
             chosen = [
                 people.entries[row]
                 for row in (*index.nearest(prepared.cylinders, most), *index.others)
@@ -321,11 +339,13 @@ def _search(
                 " agree best; this shortcut misses about 1 match in 100."
             )
             findings.append(Finding("captures-left-out", words))
-        comparisons, others = _by_ridges(people, prepared, chosen, support, progress)
-        findings += others
-        if any(c.minutiae is not None or c.overlap_mm2 is not None for c in comparisons):
+        comparisons = _by_templates(people, prepared, chosen, support, progress)
+        if any(comparison.method == "fusion" for comparison in comparisons):
             compared_by = "fusion"
-    comparisons.sort(key=_order)
+    best = _merged(comparisons, merge)[:top]
+    if support is not None:  # rates were measured by comparisons as of `match`
+        reported = [comparison.entry for comparison in best]
+        best = _ranked(_by_templates(people, prepared, reported, None, no_progress))
     searched = Searched(
         compared_by=compared_by,
         fingers=len({(entry.person, entry.finger) for entry in acquired}),
@@ -337,56 +357,60 @@ def _search(
     if searched.failures:
         words = f"{searched.failures} failures to acquire in the gallery match nobody."
         findings.append(Finding("failures-in-gallery", words))
-    return comparisons, searched, findings
+    return best, searched, findings
 
 
-def _order(comparison: _Comparison) -> tuple[float, str, str, tuple[int, int, str]]:
-    person, finger, session = comparison.entry.names
-    return -comparison.similarity, person, finger, session_order(session)
+def _ranked(comparisons: Sequence[_Comparison]) -> list[_Comparison]:
+    """Best first: by similarity, or by false match rate where methods differ in its scale."""
+    scales = {comparison.method for comparison in comparisons}
+
+    def order(comparison: _Comparison) -> tuple[float, float, str, str, tuple[int, int, str]]:
+        person, finger, session = comparison.entry.names
+        fmr = 1.0 if len(scales) < 2 else comparison.pair.rated(None).fmr
+        fmr = 1.0 if fmr is None else fmr
+        return fmr, -comparison.pair.similarity, person, finger, session_order(session)
+
+    return sorted(comparisons, key=order)
 
 
-def _by_ridges(
+def _by_templates(
     people: People,
     probe: Prepared,
     entries: Sequence[Entry],
     support: float | None,
     progress: Progress,
-) -> tuple[list[_Comparison], tuple[Finding, ...]]:
-    """Compare by ridges, and by minutiae where both hold some; and findings."""
-    templates = {
-        entry.row: unpacked(people.path, entry.row, people.templates[entry.row])
-        for entry in entries
-    }
-    fused, findings = with_fusion(templates.values(), probe.template)
+) -> list[_Comparison]:
+    """Compare each as `match` does; `support` as `sure` of
+    :func:`splitknit_match.matching.fusion.fused_match`."""
 
     def compare(entry: Entry) -> _Comparison:
-        enrolled = Prepared(templates[entry.row])
-        if not fused:
-            return _Comparison(entry, ridge_match(probe, enrolled).similarity)
-        both = fused_match(probe, enrolled, support)
-        return _Comparison(entry, both.similarity, both.minutiae, both.ridge.overlap_mm2)
+        capture = people.prepared(entry.row)
+        method = "ridge" if by_ridges(probe.template, capture.template) else "fusion"
+        return _Comparison(entry, method, compare_templates(method, probe, capture, support))
 
     comparisons: list[_Comparison] = []
     for comparison in each(compare, entries):
         progress("comparing", 0.5 + 0.5 * len(comparisons) / len(entries))
         comparisons.append(comparison)
-    return comparisons, findings
+    return comparisons
 
 
 def _by_minutiae(people: People, probe: Minutiae, entries: Sequence[Entry]) -> list[_Comparison]:
-    comparisons = []
-    for entry in entries if probe.acquired else ():
+    """Compare each as `match` does."""
+
+    def compare(entry: Entry) -> _Comparison:
         read = partial(unpack_minutiae, people.templates[entry.row])
         enrolled = naming(f"row {entry.row} of '{people.path}'", read)
-        comparisons.append(_Comparison(entry, minutiae_match(probe, enrolled)))
-    return comparisons
+        return _Comparison(entry, "minutiae", compare_minutiae(probe, enrolled))
+
+    return list(each(compare, entries)) if probe.acquired else []
 
 
 def _merged(comparisons: Sequence[_Comparison], merge: str) -> list[_Comparison]:
     """The best of each person or finger, best first."""
     parts = _MERGED[merge]
     best: dict[tuple[str, ...], _Comparison] = {}
-    for comparison in comparisons:
+    for comparison in _ranked(comparisons):
         best.setdefault(comparison.entry.names[:parts], comparison)
     return list(best.values())
 

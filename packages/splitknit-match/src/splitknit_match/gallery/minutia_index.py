@@ -13,6 +13,7 @@ votes by rotation and shift, and agreeing minutiae.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -23,43 +24,16 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import naming
+from splitknit.errors import BadInput, naming
 from splitknit.io.images import cores
-from splitknit_match.gallery.parameters import (
-    AGREEMENT_WEIGHT,
-    ALIGNED,
-    ANGLE_RAD,
-    BITS,
-    CELL_MM,
-    CELLS,
-    COMMON,
-    DISTANCE_MM,
-    FEW,
-    MEAN,
-    PEAKS,
-    RARE,
-    REACH_MM2,
-    ROTATED_FRACTION,
-    ROTATIONS,
-    TABLES,
-)
-from splitknit_match.matching.minutia_pairs import CYLINDER, Cylinders, Places
+from splitknit.model import Progress, no_progress
+from splitknit_match.matching.minutia_pairs import CYLINDER, MAX_COMPARED, Cylinders, Places
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, unpack
+from splitknit_match.prints.minutiae_record import holds_minutiae
 
 T = TypeVar("T")
 R = TypeVar("R")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CaptureMinutiae:
-    """Minutiae of one capture that have a cylinder, N of them."""
-
-    place: Places
-    """(N,) x + iy, mm."""
-    turn: NDArray[np.float64]
-    keys: NDArray[np.uint16]
-    """(N, tables)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,8 +52,35 @@ class _Hits:
     """(K,) of the key, more where it is rare."""
 
 
+_TABLES = 80  # tables of the index
+_BITS = 12  # bits of a key
+_ROTATIONS = 32  # steps of a full turn; votes of two neighbours are added
+_PEAKS = 2  # rotations of a capture whose votes are counted by shift
+_ENTRY = np.dtype([("x", "<f4"), ("y", "<f4"), ("turn", "<f4"), ("keys", "<u2", _TABLES)])
+"""A minutia as a gallery keeps it: place in mm, radians, and keys."""
+_VERSION = b"\x01"
+"""Begins a capture's minutiae; those of another version are found anew in its template. Source:
+definition."""
+_FARTHEST_MM = 200.0
+"""No minutia lies farther from a print's middle. Source: largest template."""
+_CELLS = 15  # shifts are counted in so many cells along x and y; votes of two neighbours are added
+_COMMON = 2.0
+"""A key that more minutiae have than so many times the mean is left out. Chosen on: speed."""
+_RARE = 8
+"""Such a key is kept where no more minutiae have it than these. Chosen on: speed."""
+_ROTATED_FRACTION = 0.05
+"""Fraction of the captures whose shifts are counted. Chosen on: speed."""
+_ALIGNED = 200
+"""Captures whose minutiae are laid on the probe's. Chosen on: speed."""
+_MARGIN_MM = 0.5
+"""So far beyond its minutiae a capture would show more of them."""
+_REACH_MM2 = 2.25
+"""Squared distance beyond which minutiae do not agree: they would count less than 0.0002 each.
+Chosen on: speed."""
+
+
 class MinutiaIndex:
-    """Minutiae of captures in memory, 26 kB each. Threads may share it."""
+    """Minutiae of captures in memory, 30 kB each. Threads may share it."""
 
     rows: NDArray[np.int64]
     """(M,) numbers of the captures' rows."""
@@ -88,44 +89,52 @@ class MinutiaIndex:
         self,
         templates: Mapping[int, bytes],
         gallery: Path,
-        known: Mapping[int, CaptureMinutiae | None] | None = None,
+        known: Mapping[int, bytes] | None = None,
+        progress: Progress = no_progress,
     ) -> None:
         """Take templates by their rows, but those of failures to acquire.
 
-        `known`: minutiae of some rows, of an earlier index. Raises BadInput if one is damaged.
+        `known`: minutiae of some rows, as :func:`kept_minutiae` makes them; those of other rows are
+        found in the templates. Raises BadInput if one is damaged.
         """
         known = known or {}
-
-        def minutiae_of(row: int) -> CaptureMinutiae | None:
-            if row in known:
-                return known[row]
-            side = Prepared(unpacked(gallery, row, templates[row])).cylinders
-            return None if side is None else CaptureMinutiae(side.place, side.turn, _keys(side))
-
         rows = sorted(row for row, template in templates.items() if template)
-        self.minutiae = dict(zip(rows, each(minutiae_of, rows), strict=True))
-        self.others = [row for row, minutiae in self.minutiae.items() if minutiae is None]
+        self.minutiae = {row: known[row] for row in rows if _is_sound(known.get(row, b""))}
+        missing = [row for row in rows if row not in self.minutiae]
+
+        def found(row: int) -> bytes:
+            return kept_minutiae(unpacked(gallery, row, templates[row]))
+
+        for number, (row, minutiae) in enumerate(zip(missing, each(found, missing), strict=True)):
+            progress("finding minutiae", number / len(missing))
+            self.minutiae[row] = minutiae
+        counts = {row: len(self.minutiae[row]) // _ENTRY.itemsize for row in rows}
+        self.others = [row for row, count in counts.items() if not count]
         """Rows that hold too few minutiae to be searched."""
-        indexed = {row: minutiae for row, minutiae in self.minutiae.items() if minutiae is not None}
-        sides = list(indexed.values())
-        place = np.concatenate([np.zeros(0, np.complex128), *(side.place for side in sides)])
-        turn = np.concatenate([np.zeros(0), *(side.turn for side in sides)])
-        keys = np.concatenate([np.zeros((0, TABLES), np.uint16), *(side.keys for side in sides)])
-        self.rows = np.array(list(indexed), dtype=np.int64)
-        self.count = np.array([len(side.turn) for side in sides], dtype=np.int64)
-        self.boxes = np.array([_box(side.place) for side in sides], dtype=np.float32).reshape(-1, 4)
-        self.x = place.real.astype(np.float32)
-        self.y = place.imag.astype(np.float32)
-        self.turn = turn.astype(np.float32)
+        self.rows = np.array([row for row, count in counts.items() if count], dtype=np.int64)
+        self.count = np.array([count for count in counts.values() if count], dtype=np.int64)
         self.first = np.cumsum(self.count) - self.count
-        # twice the steps, so that differences of rotation stay within the capture's own
-        self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * ROTATIONS)
-        self.code += _steps(self.turn) + ROTATIONS
-        # of each table the minutiae in the order of their keys, and where those of a key end
-        self.lists = np.stack(
-            [np.argsort(table, kind="stable").astype(np.int32) for table in keys.T]
+        kept = np.frombuffer(b"".join(self.minutiae[row][1:] for row in rows), _ENTRY)
+        # whatever a damaged file holds, these are numbers of the size of a print's
+        self.x, self.y, self.turn = (
+            np.clip(np.nan_to_num(kept[name]), -_FARTHEST_MM, _FARTHEST_MM)
+            for name in ("x", "y", "turn")
         )
-        sizes = [np.bincount(table, minlength=1 << BITS) for table in keys.T]
+        keys = kept["keys"].T & np.uint16((1 << _BITS) - 1)
+        # left, right, lower and upper end of each capture's places
+        self.boxes = np.stack(
+            [
+                end.reduceat(axis, self.first) + margin
+                for axis in (self.x, self.y)
+                for end, margin in ((np.minimum, -_MARGIN_MM), (np.maximum, _MARGIN_MM))
+            ]
+        )
+        # twice the steps, so that differences of rotation stay within the capture's own
+        self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * _ROTATIONS)
+        self.code += _steps(self.turn) + _ROTATIONS
+        # of each table the minutiae in the order of their keys, and where those of a key end
+        self.lists = np.stack([np.argsort(table, kind="stable").astype(np.int32) for table in keys])
+        sizes = [np.bincount(table, minlength=1 << _BITS) for table in keys]
         self.ends = np.pad(np.cumsum(sizes, axis=1), ((0, 0), (1, 0)))
 
     def __len__(self) -> int:
@@ -138,36 +147,36 @@ class MinutiaIndex:
             return []
         hits = self._hits(probe)
         captures, slot = self._rotated(hits.bin)
-        slots = len(captures) * PEAKS
+        slots = len(captures) * _PEAKS
         slot = slot.take(hits.bin)
         voting = np.flatnonzero(slot >= 0)
         slot = slot.take(voting)
         enrolled = hits.enrolled.take(voting)
-        rotation = hits.bin.take(voting) % ROTATIONS
+        rotation = hits.bin.take(voting) % _ROTATIONS
         key = hits.key.take(voting)
         minutia = hits.probe.take(key)
         weight = hits.weight.take(key)
 
         # votes by shift
-        angles = 2j * np.pi / ROTATIONS * np.arange(ROTATIONS)
+        angles = 2j * np.pi / _ROTATIONS * np.arange(_ROTATIONS)
         rotated = (probe.place[:, None] * np.exp(angles)).astype(np.complex64)
-        start = rotated.ravel().take(minutia * ROTATIONS + rotation)
+        start = rotated.ravel().take(minutia * _ROTATIONS + rotation)
         column = _cells(self.x.take(enrolled) - start.real)
         row = _cells(self.y.take(enrolled) - start.imag)
         votes = np.bincount(
-            (slot * CELLS + column) * CELLS + row, weight, minlength=slots * CELLS**2
+            (slot * _CELLS + column) * _CELLS + row, weight, minlength=slots * _CELLS**2
         )
-        votes = votes.reshape(slots, CELLS, CELLS)
+        votes = votes.reshape(slots, _CELLS, _CELLS)
         votes = votes[:, 1:] + votes[:, :-1]
         votes = (votes[..., 1:] + votes[..., :-1]).reshape(len(captures), -1)
         most = votes.max(axis=1) / np.maximum(self.count[captures], 1) ** 0.25
-        kept = _largest(most, max(ALIGNED, 2 * k))
+        kept = _largest(most, max(_ALIGNED, 2 * k))
 
         # how these lie on the probe, by the hits that voted for it
-        shape = (PEAKS, CELLS - 1, CELLS - 1)
+        shape = (_PEAKS, _CELLS - 1, _CELLS - 1)
         peak, best_column, best_row = np.unravel_index(votes[kept].argmax(axis=1), shape)
         number = np.full(slots, -1)
-        number[kept * PEAKS + peak] = np.arange(len(kept))
+        number[kept * _PEAKS + peak] = np.arange(len(kept))
         aligned = number.take(slot)
         fits = aligned >= 0
         fits &= (column - best_column[aligned]) // 2 == 0
@@ -187,49 +196,49 @@ class MinutiaIndex:
         shifts = weighted_sum(place - probe.place[minutia] * turns[aligned])
         shifts /= np.maximum(weighted_sum(np.ones(len(aligned), dtype=np.complex128)), 1e-9)
         agreement = self._agreement(captures[kept], probe, turns, shifts)
-        score = most[kept] + AGREEMENT_WEIGHT * agreement
+        score = most[kept] + 20.0 * agreement  # weight of agreeing minutiae beside votes
         rows = self.rows[captures[kept]]
         return [int(row) for row in rows[np.lexsort((rows, -score))[:k]]]
 
     def _hits(self, probe: Cylinders) -> _Hits:
         """Minutiae that share a key with the probe's which is not too common."""
         keys = _keys(probe)
-        tables = np.arange(TABLES)
-        mean = len(self.turn) / (1 << BITS)
+        tables = np.arange(_TABLES)
+        mean = len(self.turn) / (1 << _BITS)
         starts = self.ends[tables, keys]
         sizes = (self.ends[tables, keys + 1] - starts).ravel()
         # the probe's minutiae by tables
-        telling = np.flatnonzero(sizes <= max(COMMON * mean, RARE))
+        telling = np.flatnonzero(sizes <= max(_COMMON * mean, _RARE))
         sizes = sizes[telling]
         starts = (starts + tables * len(self.turn)).ravel()[telling]
         lists = self.lists.ravel()
         ranges = zip(starts.tolist(), (starts + sizes).tolist(), strict=True)
         enrolled = np.concatenate([lists[:0], *(lists[start:end] for start, end in ranges)])
-        minutia = telling // TABLES
+        minutia = telling // _TABLES
         key = np.repeat(np.arange(len(telling), dtype=np.int32), sizes)
         code = self.code.take(enrolled) - _steps(probe.turn.astype(np.float32))[minutia].take(key)
-        capture = code // (2 * ROTATIONS)
-        rotation = code % ROTATIONS
+        capture = code // (2 * _ROTATIONS)
+        rotation = code % _ROTATIONS
         weight = np.sqrt(mean / np.maximum(sizes, 1))
-        return _Hits(enrolled, key, capture * ROTATIONS + rotation, minutia, weight)
+        return _Hits(enrolled, key, capture * _ROTATIONS + rotation, minutia, weight)
 
     def _rotated(self, bins: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         """Captures with most votes for some rotation; and by bin the number of a capture's best
         rotation among all best ones, -1 for other rotations.
         """
-        votes = np.bincount(bins, minlength=ROTATIONS * len(self)).reshape(-1, ROTATIONS)
+        votes = np.bincount(bins, minlength=_ROTATIONS * len(self)).reshape(-1, _ROTATIONS)
         votes += np.roll(votes, -1, axis=1)
         most = votes.max(axis=1) / np.sqrt(np.maximum(self.count, 1))
-        captures = _largest(most, max(ALIGNED, round(ROTATED_FRACTION * len(self))))
+        captures = _largest(most, max(_ALIGNED, round(_ROTATED_FRACTION * len(self))))
         number = np.arange(len(captures))
-        slot = np.full((len(self), ROTATIONS), -1, dtype=np.int32)
+        slot = np.full((len(self), _ROTATIONS), -1, dtype=np.int32)
         free = votes[captures]
-        for peak in range(PEAKS):
+        for peak in range(_PEAKS):
             best = free.argmax(axis=1)
             free[number, best - 1] = -1
-            for rotation in (best, (best + 1) % ROTATIONS):
+            for rotation in (best, (best + 1) % _ROTATIONS):
                 free[number, rotation] = -1
-                slot[captures, rotation] = number * PEAKS + peak
+                slot[captures, rotation] = number * _PEAKS + peak
         return captures, slot.ravel()
 
     def _agreement(
@@ -249,7 +258,7 @@ class MinutiaIndex:
         distance = laid.real[:, :, None] - np.where(present, x, np.inf)[:, None]
         distance *= distance
         distance += (laid.imag[:, :, None] - y[:, None]) ** 2
-        near = np.flatnonzero(distance < REACH_MM2)  # of captures, the probe's minutiae, their own
+        near = np.flatnonzero(distance < _REACH_MM2)  # of captures, the probe's minutiae, their own
         of_probe = near // width
         capture = of_probe // len(probe.turn)
         of_capture = capture * width + near % width
@@ -257,7 +266,8 @@ class MinutiaIndex:
             of_capture
         ]
         angle -= 2 * np.pi * np.rint(angle / (2 * np.pi))
-        likeness = np.exp(-distance.ravel()[near] / DISTANCE_MM**2 - (angle / ANGLE_RAD) ** 2)
+        # a minutia laid on another counts 1/e at 0.5 mm, and at 0.35 rad
+        likeness = np.exp(-distance.ravel()[near] / 0.5**2 - (angle / 0.35) ** 2)
         mutual = np.ones(len(near), dtype=bool)
         for minutia, size in ((of_probe, laid.size), (of_capture, x.size)):
             best = np.zeros(size)
@@ -266,28 +276,66 @@ class MinutiaIndex:
         agreeing = np.bincount(capture[mutual], likeness[mutual], minlength=len(captures))
         back = (x + 1j * y - shifts[:, None]) * turns.conj()[:, None]
         enrolled_overlap = (_inside(back, np.array(_box(probe.place))) & present).sum(axis=1)
-        probe_overlap = _inside(laid, self.boxes[captures].T[:, :, None]).sum(axis=1)
-        return np.asarray(agreeing / np.sqrt(np.sqrt(enrolled_overlap * probe_overlap) + FEW))
+        probe_overlap = _inside(laid, self.boxes[:, captures, None]).sum(axis=1)
+        # minutiae that are added to those that could agree
+        return np.asarray(agreeing / np.sqrt(np.sqrt(enrolled_overlap * probe_overlap) + 9.0))
 
 
 @cache
 def _vectors() -> NDArray[np.float32]:
     rng = np.random.default_rng(1)
-    return rng.standard_normal((CYLINDER, TABLES * BITS), dtype=np.float32)
+    return rng.standard_normal((CYLINDER, _TABLES * _BITS), dtype=np.float32)
+
+
+_MEAN = 0.157
+"""Mean of a cylinder's numbers. Chosen on: real prints (validation/gallery/index.py)."""
 
 
 def _keys(side: Cylinders) -> NDArray[np.uint16]:
     """(N, tables) of cylinders."""
-    signs = (side.value - MEAN * side.known) @ _vectors() > 0
-    return signs.reshape(-1, TABLES, BITS) @ (1 << np.arange(BITS, dtype=np.uint16))
+    signs = (side.value - _MEAN * side.known) @ _vectors() > 0
+    return signs.reshape(-1, _TABLES, _BITS) @ (1 << np.arange(_BITS, dtype=np.uint16))
+
+
+def kept_minutiae(template: Template) -> bytes:
+    """Minutiae of a template with their keys, which a gallery keeps beside it; the version alone
+    where it holds too few."""
+    side = Prepared(template.printed).cylinders
+    if side is None:
+        return _VERSION
+    minutiae = np.empty(len(side.turn), _ENTRY)
+    minutiae["x"], minutiae["y"] = side.place.real, side.place.imag
+    minutiae["turn"], minutiae["keys"] = side.turn, _keys(side)
+    return _VERSION + minutiae.tobytes()
+
+
+def minutiae_of(payload: bytes) -> bytes:
+    """:func:`kept_minutiae` of a stored payload; empty where it is a failure to acquire, holds
+    minutiae alone, or cannot be read."""
+    if holds_minutiae(payload):
+        return b""
+    try:
+        return kept_minutiae(unpack(payload))
+    except BadInput:
+        return b""
+
+
+def _is_sound(minutiae: bytes) -> bool:
+    """Whether the bytes are of this version and hold a whole number of minutiae, not too many."""
+    return (
+        minutiae[:1] == _VERSION
+        and len(minutiae) % _ENTRY.itemsize == 1
+        and len(minutiae) // _ENTRY.itemsize <= MAX_COMPARED
+    )
 
 
 def _steps(turn: NDArray[np.float32]) -> NDArray[np.int32]:
-    return np.asarray(np.floor(turn * (ROTATIONS / (2 * np.pi))).astype(np.int32) % ROTATIONS)
+    return np.asarray(np.floor(turn * (_ROTATIONS / (2 * np.pi))).astype(np.int32) % _ROTATIONS)
 
 
 def _cells(shift_mm: NDArray[np.float32]) -> NDArray[np.int32]:
-    return np.clip((shift_mm / CELL_MM + CELLS / 2).astype(np.int32), 0, CELLS - 1)
+    # side of a cell in which shifts are counted
+    return np.clip((shift_mm / 2.0 + _CELLS / 2).astype(np.int32), 0, _CELLS - 1)
 
 
 def _largest(values: NDArray[np.float64], count: int) -> NDArray[np.int64]:
@@ -298,12 +346,15 @@ def _largest(values: NDArray[np.float64], count: int) -> NDArray[np.int64]:
 
 
 def _box(place: Places) -> tuple[float, float, float, float]:
-    """Left, right, lower and upper end of places, and half a millimetre more."""
-    if not len(place):
-        return 0.0, 0.0, 0.0, 0.0
+    """Left, right, lower and upper end of places."""
     x = place.real
     y = place.imag
-    return float(x.min() - 0.5), float(x.max() + 0.5), float(y.min() - 0.5), float(y.max() + 0.5)
+    return (
+        float(x.min() - _MARGIN_MM),
+        float(x.max() + _MARGIN_MM),
+        float(y.min() - _MARGIN_MM),
+        float(y.max() + _MARGIN_MM),
+    )
 
 
 def _inside(
@@ -315,10 +366,21 @@ def _inside(
     )
 
 
+_cores = threading.Lock()
+"""Held by the request whose work is done by several threads."""
+
+
 def each(work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
-    """Do it with each by a thread for each core, for other requests go on; results in order."""
-    with ThreadPoolExecutor(cores(), thread_name_prefix="splitknit-match") as pool:
-        yield from pool.map(work, items)
+    """Do it with each, by a thread for each core unless another request has those; results in
+    order."""
+    if not _cores.acquire(blocking=False):
+        yield from map(work, items)
+        return
+    try:
+        with ThreadPoolExecutor(cores(), thread_name_prefix="splitknit-match") as pool:
+            yield from pool.map(work, items)
+    finally:
+        _cores.release()
 
 
 def unpacked(gallery: Path, row: int, payload: bytes) -> Template:

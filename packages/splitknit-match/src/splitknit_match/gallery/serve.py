@@ -11,11 +11,13 @@ from __future__ import annotations
 import base64
 import binascii
 import datetime
+import errno
 import hmac
 import json
 import logging
 import math
 import os
+import stat
 import sys
 import time
 from collections.abc import Mapping
@@ -25,16 +27,14 @@ from typing import Any
 from splitknit import BadInput
 from splitknit.errors import importing, printable, require
 from splitknit.files import read_bytes
-from splitknit.io.atomic import append_line
 from splitknit.io.images import cores
 from splitknit.io.prints import PrintFile
 from splitknit.io.provenance import known_json
-from splitknit_match.gallery.file import Unavailable
+from splitknit_match.gallery.file import MAX_NAME, Unavailable
 from splitknit_match.gallery.gallery import Gallery
-from splitknit_match.gallery.parameters import MAX_BODY, MAX_NAME, MIN_TOKEN, PATIENCE_S, WORK_S
 from splitknit_match.matching.inputs import Pixels
 from splitknit_match.matching.match import make_template
-from splitknit_match.prints.from_file import minutiae_of, pressed_print
+from splitknit_match.prints.from_file import MAX_PPI, MIN_PPI, minutiae_of, pressed_print
 from splitknit_match.prints.make import enhance, measured
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.records.print_formats import decode_prints
@@ -48,6 +48,7 @@ _FINGER: dict[str, tuple[type, str]] = {
     ),
     "template": (str, "template, base64, instead of `print`"),
     "resolution_ppi": (float, "resolution of a picture that does not state its own"),
+    "ridges": (str, "dark or light, where it is known"),
 }
 ACTS: dict[str, tuple[str, dict[str, tuple[type, str]], tuple[str, ...]]] = {
     "enroll": (
@@ -126,16 +127,23 @@ def openapi() -> dict[str, Any]:
     }
 
 
+_MAX_BODY = 10_000_000  # longest request: a print of 7 MB as base64
+PATIENCE_S = 20.0
+"""So long may a body take to arrive, and a connection wait without a request that is complete."""
+WORK_S = 60.0  # so long may the work of a request take, with its waiting for a free core
+_MIN_TOKEN = 16  # shortest token
+
+
 def make_app(
-    gallery: Gallery, token: str, audit: Path | None = None, max_body: int = MAX_BODY
+    gallery: Gallery, token: str, audit: Path | None = None, max_body: int = _MAX_BODY
 ) -> Any:
     """Make the ASGI application.
 
     Raises BadInput if the token is short, the audit file cannot be written, or Starlette is not
     installed.
     """
-    sound = len(token) >= MIN_TOKEN and token.isascii()
-    require(sound, f"the token must have {MIN_TOKEN} ASCII characters or more.")
+    sound = len(token) >= _MIN_TOKEN and token.isascii()
+    require(sound, f"the token must have {_MIN_TOKEN} ASCII characters or more.")
     _write_line(audit, {"act": "start"})
     with importing("serving needs Starlette and uvicorn: pip install 'splitknit-match[serve]'."):
         from anyio import CapacityLimiter, fail_after, move_on_after, to_thread
@@ -278,16 +286,31 @@ class _Act:
         self._logged = True
 
 
+def _append_line(path: Path, line: Mapping[str, Any]) -> None:
+    """Add a line of JSON to a log, made where there is none, whole or not at all: a regular file,
+    no link. Raises OSError.
+    """
+    flags = os.O_CREAT | os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK
+    with os.fdopen(os.open(path, flags, 0o600), "ab", buffering=0) as stream:
+        mode = os.fstat(stream.fileno()).st_mode
+        data = json.dumps(line).encode("ascii") + b"\n"
+        if not stat.S_ISREG(mode):  # a pipe that nobody empties would hold the program
+            raise OSError(errno.EINVAL, "it is not a file")
+        if (written := stream.write(data)) < len(data):
+            stream.truncate(stream.tell() - written)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def _write_line(audit: Path | None, line: dict[str, Any]) -> None:
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
     try:
         if audit is not None:
-            append_line(audit, {"time": now, **line})
+            _append_line(audit, {"time": now, **line})
     except OSError as error:
-        fault = (
-            f"the audit file '{audit.name if audit else ''}' cannot be written ({error.strerror})"
-        )
-        raise Unavailable(f"{fault}, and without it nothing is done.") from error
+        raise Unavailable(
+            f"the audit file '{audit.name if audit else ''}' cannot be written ({error.strerror}),"
+            " and without it nothing is done."
+        ) from error
 
 
 def _fields_of(name: str, body: bytes) -> dict[str, Any]:
@@ -329,18 +352,21 @@ def _finger_of(fields: Mapping[str, Any]) -> Pixels | bytes:
         return pack_minutiae(minutiae_of(prints[0]))
     ppi = fields.get("resolution_ppi", prints[0].resolution_ppi)
     require(
-        ppi is not None and 200 <= ppi <= 5080,
-        "give 'resolution_ppi', from 200 to 5080: the print states none.",
+        ppi is not None and MIN_PPI <= ppi <= MAX_PPI,
+        f"give 'resolution_ppi', from {MIN_PPI:g} to {MAX_PPI:g}: the print states none.",
     )
-    return Pixels(prints[0].image, float(ppi))
+    ridges = fields.get("ridges")
+    require(ridges in (None, "dark", "light"), "'ridges' must be dark or light.")
+    return Pixels(prints[0].image, float(ppi), ridges, prints[0].impression)
 
 
 def _shown(error: BadInput, gallery: Gallery) -> str:
     """A sentence without the folders of this machine."""
     text = str(error)
-    for folder in (gallery.path.resolve().parent, gallery.path.parent):
-        if len(folder.parts) > 1:
-            text = text.replace(printable(str(folder)), "...")
+    for file in (gallery.path.resolve(), gallery.path):
+        text = text.replace(printable(str(file)), printable(file.name))
+        if len(file.parts) > 2:
+            text = text.replace(printable(str(file.parent)), "...")
     return text
 
 
@@ -378,14 +404,14 @@ def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
     return dict(known_json(gallery.identify(finger, **fields))) | {"gallery": gallery.path.name}
 
 
-def read_token(file: Path | None, variable: str = "SPLITKNIT_SERVE_TOKEN") -> str:
+def read_token(file: Path | None) -> str:
     """Token from a file, else from the environment. Raises BadInput if there is none."""
     if file is None:
-        text = os.environ.get(variable)
+        text = os.environ.get("SPLITKNIT_SERVE_TOKEN")
         require(
             text,
             "give the token that clients must send: `token_file` FILE, or the variable"
-            f" {variable}.",
+            " SPLITKNIT_SERVE_TOKEN.",
         )
         return str(text)
     return read_bytes(file, 10_000).decode("utf-8", "replace").strip()

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import socket
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
+from weakref import WeakSet
 
 from cyclopts import Parameter
 
@@ -20,6 +23,7 @@ from splitknit.arguments import (
     Progress,
     Report,
     ResolutionPpi,
+    Ridges,
     checked,
     count,
     silent,
@@ -27,7 +31,6 @@ from splitknit.arguments import (
 from splitknit.errors import BadInput, importing, printable, require
 from splitknit.findings import Finding, worst_first
 from splitknit.settings import Limits
-from splitknit_match.gallery.parameters import PATIENCE_S
 from splitknit_match.matching.match import Finger
 
 if TYPE_CHECKING:
@@ -50,6 +53,11 @@ KeyFile = Annotated[
     ),
 ]
 LOCAL = ("127.0.0.1", "::1", "localhost")
+CONNECTIONS = 64
+"""Connections at a time. Source: judgement, far more than cores."""
+SILENCE_S = 4.0
+"""So long may a TLS handshake take, and then a connection do nothing: no request begun, no answer
+fetched. Source: judgement, above four round trips by satellite, and lost packets sent again."""
 
 
 @checked
@@ -64,6 +72,7 @@ def identify(
     fmr: float | None = None,
     merge: Literal["person", "finger", "none"] = "person",
     resolution_ppi: float | None = None,
+    ridges: Ridges = None,
     preset: Preset = "metric",
     progress: Progress = silent,
 ) -> Identification:
@@ -82,6 +91,8 @@ def identify(
         See :func:`identify_in_gallery`.
     resolution_ppi : float, optional
         Pixels per inch of a print that is an array, or whose file does not state it.
+    ridges : {"dark", "light"}, optional
+        As of :func:`match`.
     progress : called with the name of a stage and the fraction done, optional
 
     Returns
@@ -112,6 +123,7 @@ def identify(
             fmr=fmr,
             merge=merge,
             resolution_ppi=resolution_ppi,
+            ridges=ridges,
             preset=preset,
             progress=progress,
         )
@@ -128,9 +140,9 @@ def identify_in_gallery(
     finger: str | None = None,
     fmr: float | None = None,
     merge: Literal["person", "finger", "none"] = "person",
-    pad: bool = False,
     raw: bool = False,
     resolution_ppi: ResolutionPpi = None,
+    ridges: Ridges = None,
     preset: Preset = "metric",
     progress: Progress = silent,
 ) -> Identification | Report:
@@ -154,8 +166,6 @@ def identify_in_gallery(
         was measured for such prints).
     merge
         One candidate for each person (default), each finger, or each enrolled capture (none).
-    pad
-        Refuse presentation attacks; where it is unknown whether it is one, a note says so.
     raw
         Print the method's own scores too (--json always has them).
     preset
@@ -168,7 +178,7 @@ def identify_in_gallery(
     Raises
     ------
     BadInput
-        As :func:`identify`, or if the probe is an attack (`pad`).
+        As :func:`identify`.
 
     Examples
     --------
@@ -178,9 +188,7 @@ def identify_in_gallery(
     """
     from splitknit_match.gallery.file import readable_gallery
     from splitknit_match.gallery.identify import identification_lines
-    from splitknit_match.pad import refuse_attacks
 
-    presentation, unknown = refuse_attacks(pad, [probe], preset, progress)
     identification = identify(
         gallery,
         probe,
@@ -191,13 +199,12 @@ def identify_in_gallery(
         fmr=fmr,
         merge=merge,
         resolution_ppi=resolution_ppi,
+        ridges=ridges,
         preset=preset,
         progress=progress,
     )
-    findings = (*identification.findings, *unknown, *readable_gallery(gallery, key_file))
-    identification = replace(
-        identification, presentation=presentation, findings=worst_first(findings)
-    )
+    findings = (*identification.findings, *readable_gallery(gallery, key_file))
+    identification = replace(identification, findings=worst_first(findings))
     if not raw:
         return identification
     return Report(identification.facts, tuple(identification_lines(identification, scores=True)))
@@ -364,6 +371,8 @@ def gallery_remove(
         left = len(opened)
     facts = {"gallery": str(gallery), "removed": removed, "captures": left}
     line = f"Removed {count(removed, 'capture')} from {gallery}; {left} are left."
+    if not removed:
+        line = f"{gallery} holds no such capture, and what was removed earlier is erased now."
     return _reported(gallery, key_file, facts, (line,))
 
 
@@ -482,7 +491,7 @@ def serve(
     --------
     >>> serve(gallery="people.skg", token_file="token")  # doctest: +SKIP
     """
-    from splitknit_match.gallery.file import readable
+    from splitknit_match.gallery.file import readable, readable_gallery
     from splitknit_match.gallery.gallery import Gallery
     from splitknit_match.gallery.serve import make_app, read_token
 
@@ -497,20 +506,40 @@ def serve(
             opened.people()
         app = make_app(opened, token, None if audit is None else Path(audit))
         server = server_of(app, certificate, certificate_key)
+        findings = readable_gallery(gallery, key_file)
         for what, file in (("token", token_file), ("key", certificate_key)):
-            for finding in () if file is None else readable(Path(file), what):
-                print(printable(f"Please note: {finding}"), file=sys.stderr, flush=True)
+            findings += () if file is None else readable(Path(file), what)
+        for finding in findings:
+            print(printable(f"Please note: {finding}"), file=sys.stderr, flush=True)
         with _listening(host, port) as door, contextlib.suppress(KeyboardInterrupt):
             words = f"Serving {gallery} at {scheme}://{host}:{port}; Ctrl-C ends it."
             print(printable(words), file=sys.stderr, flush=True)
             server.run(sockets=[door])
 
 
+class _Door(socket.socket):
+    """Listens; what comes while :data:`CONNECTIONS` are open is closed at once."""
+
+    def __init__(self, listening: socket.socket) -> None:
+        super().__init__(fileno=listening.detach())
+        self._inside = WeakSet[socket.socket]()
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """As of any socket; ConnectionAbortedError, which asyncio expects, where there are too
+        many."""
+        connection, address = super().accept()
+        if sum(known.fileno() >= 0 for known in self._inside) >= CONNECTIONS:
+            connection.close()
+            raise ConnectionAbortedError
+        self._inside.add(connection)
+        return connection, address
+
+
 def _listening(host: str, port: int) -> socket.socket:
     """A socket that listens there. Raises BadInput if it cannot."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        return socket.create_server(address[:2], family=family)
+        return _Door(socket.create_server(address[:2], family=family))
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise BadInput(
@@ -524,8 +553,7 @@ def server_of(
     """A server of an ASGI application, over TLS with a certificate chain and its private key.
     Raises BadInput if these do not fit.
 
-    Connections that bring no whole request for 20 to 40 s are closed, and more than 64 at a time
-    are refused.
+    Connections on which nothing happens for 4 to 8 s are ended.
     """
     with importing("serving needs uvicorn: pip install 'splitknit-match[serve]'."):
         import uvicorn
@@ -534,7 +562,7 @@ def server_of(
     class Impatient(H11Protocol):
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            self.loop.call_later(PATIENCE_S, self._look, None)
+            self.loop.call_later(SILENCE_S, self._look, (None, 0))
 
         def shutdown(self) -> None:
             cycle: Any = self.cycle
@@ -544,19 +572,32 @@ def server_of(
             else:
                 super().shutdown()
 
-        def _look(self, last: Any) -> None:
+        def _look(self, last: tuple[Any, int]) -> None:
+            if self not in self.connections:  # it has ended
+                return
             cycle: Any = self.cycle
-            if cycle is last and (cycle is None or cycle.response_complete):
-                self.transport.close()
-            if not self.transport.is_closing():
-                self.loop.call_later(PATIENCE_S, self._look, cycle)
+            now = (cycle, self.transport.get_write_buffer_size())
+            # no work, but for an answer that the client does not fetch
+            waits = cycle is None or cycle.response_complete or self.flow.write_paused
+            if waits and now == last:
+                self.transport.abort()  # to close it would wait for the client
+            self.loop.call_later(SILENCE_S, self._look, now)
+
+    class Server(uvicorn.Server):
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            """Listen, as uvicorn does, which has no setting for the time of a handshake."""
+            loop: Any = asyncio.get_running_loop()
+            if certificate is not None:
+                loop.create_server = partial(loop.create_server, ssl_handshake_timeout=SILENCE_S)
+            await super().startup(sockets)
 
     config = uvicorn.Config(
         app,
-        log_level="warning",
+        loop="asyncio",  # which accepts by the door
+        log_level="error",
         access_log=False,
         server_header=False,
-        limit_concurrency=64,
+        limit_concurrency=2 * CONNECTIONS,  # of requests: some outlive their connections
         http=Impatient,
         timeout_keep_alive=5,
         timeout_graceful_shutdown=10,
@@ -572,4 +613,4 @@ def server_of(
         raise BadInput(
             f"{reason}; name PEM files that belong together, of a key without a passphrase."
         ) from error
-    return uvicorn.Server(config)
+    return Server(config)

@@ -8,7 +8,7 @@ fingerprint matching algorithm using phase-only correlation (band limit, rotatio
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import cv2
 import numpy as np
@@ -17,34 +17,17 @@ from numpy.typing import NDArray
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import Array, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid, spectrum_of
-from splitknit_match.matching.parameters import (
-    APART_MM,
-    BLOCK_MM,
-    BLOCKS,
-    CANDIDATES,
-    COARSE_GRID_PX,
-    COARSE_PITCH_MM,
-    CYCLES_PER_MM,
-    DIRECTION_WINDOW_MM,
-    MIN_HEIGHT,
-    MIN_POSE_MM2,
-    OVERLAP_ROTATIONS,
-    POSE_STEP_DEG,
-    POSES,
-    ROTATION_STEP_DEG,
-    ROTATIONS,
-    UPRIGHT_ROTATIONS,
-    UPRIGHT_STEPS,
-    WHITENING,
-)
 from splitknit_match.matching.ridge_band import RidgeBand
+from splitknit_match.threads import made_once
 
 Spectra = NDArray[np.complex64]
 
-_HALF_TURN = round(180 / ROTATION_STEP_DEG)
+_ROTATION_STEP_DEG = 5.0  # step between two rotations whose directions of ridges are compared
+_HALF_TURN = round(180 / _ROTATION_STEP_DEG)
 """Steps of half a turn. What is turned by half a turn more is the same upside down: its spectrum is
 conjugate, and the peak of a correlation with it lies one pixel further on both axes. Source:
 derived."""
+_POSE_STEP_DEG = 4.0  # step between two rotations of a small print
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +49,14 @@ class _Peak:
         """Whether it is nearly the same alignment."""
         turn = abs((self.angle_deg - peak.angle_deg + 180) % 360 - 180)
         apart = np.hypot(self.right_mm - peak.right_mm, self.down_mm - peak.down_mm)
-        return bool(turn <= 1.5 * POSE_STEP_DEG and apart <= APART_MM)
+        # alignments of a small print at nearly one rotation lie at least so far apart
+        return bool(turn <= 1.5 * _POSE_STEP_DEG and apart <= 0.6)
+
+
+_COARSE_PITCH_MM = 0.15  # side of a pixel of the coarse grid
+COARSE_GRID_PX = (216, 216)
+"""Rows and columns of the coarse grid; of a finger that is larger the centre is used."""
+BLOCKS = (27, 24)  # rows and columns of the grid of blocks
 
 
 class CoarseViews:
@@ -84,28 +74,28 @@ class CoarseViews:
             self._ridges[number] = self._ridge_view(_angle_deg(number))
         return self._ridges[number]
 
-    @cached_property
+    @made_once
     def poses(self) -> FloatArray:
         """(2, A, side, side) ridges and where there are any, turned by the steps of a small
         print."""
         side = int(np.ceil(np.hypot(*self.band.valid.shape) / self._step)) + 2
-        angles = np.deg2rad(POSE_STEP_DEG) * np.arange(round(360 / POSE_STEP_DEG))
+        angles = np.deg2rad(_POSE_STEP_DEG) * np.arange(round(360 / _POSE_STEP_DEG))
         return self._pictures(angles, (side, side))
 
-    @cached_property
+    @made_once
     def upright(self) -> FloatArray:
         """(2, rows, columns) the same without rotation."""
         rows, columns = (int(np.ceil(side / self._step)) for side in self.band.valid.shape)
         return self._pictures(np.zeros(1), (rows, columns))[:, 0]
 
-    @cached_property
+    @made_once
     def _soft(self) -> FloatArray:
         """The band with less of what the coarse grid cannot hold."""
-        return gaussian_mean(self.band.value, 0.4 * COARSE_PITCH_MM / self.band.pitch_mm)
+        return gaussian_mean(self.band.value, 0.4 * _COARSE_PITCH_MM / self.band.pitch_mm)
 
     @property
     def _step(self) -> float:
-        return COARSE_PITCH_MM / self.band.pitch_mm
+        return _COARSE_PITCH_MM / self.band.pitch_mm
 
     def _pictures(self, angles_rad: Array, size: tuple[int, int]) -> FloatArray:
         pictures = self._soft, self.band.valid.astype(np.float32)
@@ -113,7 +103,7 @@ class CoarseViews:
             [[_turned(part, angle, self._step, size) for angle in angles_rad] for part in pictures]
         )
 
-    @cached_property
+    @made_once
     def directions(self) -> Spectra:
         """Spectra (3, A, rows, columns // 2 + 1) of blocks, turned by the steps of half a turn.
 
@@ -123,23 +113,25 @@ class CoarseViews:
         value, valid = self.band.value, self.band.valid
         across = cv2.Sobel(value, cv2.CV_32F, 1, 0)
         up = -cv2.Sobel(value, cv2.CV_32F, 0, 1)
-        window = (round(DIRECTION_WINDOW_MM / self.band.pitch_mm),) * 2
+        # side of the square over which a direction is averaged
+        window = (round(1.05 / self.band.pitch_mm),) * 2
         xx, yy, xy, fraction = (
             np.asarray(cv2.blur(part, window, borderType=cv2.BORDER_CONSTANT))
             for part in (across * across, up * up, across * up, valid.astype(np.float32))
         )
         power = (xx + yy)[valid]
-        middle = (len(power) - 1) // 2, len(power) // 2
-        # np.median loads numpy.ma: 20 ms
-        typical = float(np.partition(power, middle)[list(middle)].mean())
+        middle = [(power.size - 1) // 2, power.size // 2]
+        # the median: numpy's own loads numpy.ma, 20 ms
+        typical = float(np.partition(power, middle)[middle].mean())
         total = np.maximum(xx + yy, max(0.3 * typical, 1e-12))
         field = np.stack([(xx - yy) / total, 2 * xy / total, fraction], axis=-1, dtype=np.float32)
         turned = np.empty((_HALF_TURN, *BLOCKS, 3), dtype=np.float32)
         for blocks, angle in zip(
-            turned, np.deg2rad(ROTATION_STEP_DEG * np.arange(_HALF_TURN, dtype=float)), strict=True
+            turned, np.deg2rad(_ROTATION_STEP_DEG * np.arange(_HALF_TURN, dtype=float)), strict=True
         ):
             cos, sin = np.cos(2 * angle), np.sin(2 * angle)
-            view = _turned(field, angle, BLOCK_MM / self.band.pitch_mm, BLOCKS)
+            # side of a block that has one direction
+            view = _turned(field, angle, 1.5 / self.band.pitch_mm, BLOCKS)
             blocks[:] = cv2.transform(view, np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]))
         return spectrum_of(np.moveaxis(turned, -1, 0))
 
@@ -154,11 +146,26 @@ class CoarseViews:
         )
         magnitude = np.abs(spectrum)
         floor = max(0.05 * float(magnitude.max()), 1e-12)
-        result = spectrum * (_ridge_pass() / np.maximum(magnitude, floor) ** WHITENING)
+        # power of the magnitude that each spectrum is divided by: 0 correlates, 1 keeps phase alone
+        result = spectrum * (_ridge_pass() / np.maximum(magnitude, floor) ** 0.5)
         # twice the power of the half plane, but for its first column, where ridges have little
         power = 2 * float((np.abs(result) ** 2).sum())
         result *= np.float32(np.sqrt(COARSE_GRID_PX[0] * COARSE_GRID_PX[1] / max(power, 1e-30)))
         return result
+
+
+_ROTATIONS = 6
+"""Rotations that are tried on the ridges, each there and half a step on, to the side of the better
+neighbour. Chosen on: real prints (FVC2002 DB1_B). Range: 6 to 8."""
+_UPRIGHT_ROTATIONS = 3
+"""Upright rotations that are tried in any case: most fingers lie upright, and where little
+overlaps, directions alone find them too seldom."""
+_UPRIGHT_STEPS = 6  # steps to each side of no rotation that count as upright
+_CANDIDATES = 2
+"""Peaks of a correlation that are looked at closely; 3 do as well."""
+_MIN_HEIGHT = 0.7
+"""Peaks lower than this fraction of the highest are not looked at. Chosen on: speed (2,024 pairs:
+ten led to another score, by at most 0.04, and none changed a rate)."""
 
 
 def likely_alignments(a: CoarseViews, b: CoarseViews) -> list[Affine]:
@@ -167,11 +174,11 @@ def likely_alignments(a: CoarseViews, b: CoarseViews) -> list[Affine]:
     upright_b = b.directions[:, :1]
     products = a.directions.conj() * upright_b, a.directions * upright_b
     scores = np.concatenate([_direction_agreement(product) for product in products])
-    upright = np.arange(-UPRIGHT_STEPS, UPRIGHT_STEPS + 1)
+    upright = np.arange(-_UPRIGHT_STEPS, _UPRIGHT_STEPS + 1)
     best = np.concatenate(
         [
-            np.argsort(-scores, kind="stable")[:ROTATIONS],
-            upright[np.argsort(-scores[upright], kind="stable")[:UPRIGHT_ROTATIONS]] % len(scores),
+            np.argsort(-scores, kind="stable")[:_ROTATIONS],
+            upright[np.argsort(-scores[upright], kind="stable")[:_UPRIGHT_ROTATIONS]] % len(scores),
         ]
     )
     better_side = np.where(np.roll(scores, -1)[best] >= np.roll(scores, 1)[best], 1, -1)
@@ -183,14 +190,14 @@ def likely_alignments(a: CoarseViews, b: CoarseViews) -> list[Affine]:
     )
     return [
         peak.affine(a.band, b.band)
-        for peak in peaks[:CANDIDATES]
-        if peak.height >= MIN_HEIGHT * peaks[0].height
+        for peak in peaks[:_CANDIDATES]
+        if peak.height >= _MIN_HEIGHT * peaks[0].height
     ]
 
 
 def _angle_deg(number: int) -> float:
     """Rotation of a number of half steps."""
-    return number * ROTATION_STEP_DEG / 2
+    return number * _ROTATION_STEP_DEG / 2
 
 
 def _peak(a: CoarseViews, ridges: Spectra, number: int) -> _Peak:
@@ -205,8 +212,8 @@ def _peak(a: CoarseViews, ridges: Spectra, number: int) -> _Peak:
     return _Peak(
         float(correlation.max()),
         _angle_deg(number),
-        float(right * COARSE_PITCH_MM),
-        float(down * COARSE_PITCH_MM),
+        float(right * _COARSE_PITCH_MM),
+        float(down * _COARSE_PITCH_MM),
     )
 
 
@@ -216,6 +223,11 @@ def _direction_agreement(products: Spectra) -> FloatArray:
     agreement, overlap = np.fft.irfft2(np.stack([products[0] + products[1], products[2]]), s=BLOCKS)
     overlap = np.maximum(overlap, 0.2 * overlap.max())
     return np.asarray((agreement / np.sqrt(overlap)).reshape(len(overlap), -1).max(axis=1))
+
+
+POSES = 8  # alignments of a small print that are looked at closely
+_OVERLAP_ROTATIONS = 3
+"""Rotations for which the overlap of a small print is computed once. Chosen on: speed."""
 
 
 def every_pose(a: CoarseViews, b: CoarseViews) -> list[Affine]:
@@ -238,18 +250,19 @@ def every_pose(a: CoarseViews, b: CoarseViews) -> list[Affine]:
 
     peaks = []
     for number in range(poses.shape[1]):
-        if number % OVERLAP_ROTATIONS == 0:
-            root = np.sqrt(np.maximum(correlation(1, number), MIN_POSE_MM2 / COARSE_PITCH_MM**2))
+        if number % _OVERLAP_ROTATIONS == 0:
+            # a smaller overlap of a small print counts as if it were this large
+            root = np.sqrt(np.maximum(correlation(1, number), 6.0 / _COARSE_PITCH_MM**2))
         height = correlation(0, number) / root
         for _ in range(2):
             row, column = np.unravel_index(height.argmax(), size)
             place = np.array([row, column])
             # shifts of B's grid beyond its own size lie to the left and above
             place = np.where(place >= poses.shape[2:], place - size, place)
-            down, right = (place + offset) * COARSE_PITCH_MM
+            down, right = (place + offset) * _COARSE_PITCH_MM
             peaks.append(
                 _Peak(
-                    float(height[row, column]), number * POSE_STEP_DEG, -float(right), -float(down)
+                    float(height[row, column]), number * _POSE_STEP_DEG, -float(right), -float(down)
                 )
             )
             height[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3] = -np.inf
@@ -287,9 +300,13 @@ def _turned(
     )
 
 
+_CYCLES_PER_MM = (1.2, min(3.8, 0.5 / _COARSE_PITCH_MM))
+"""Frequencies of ridges: periods of 0.3 (the grid's finest) to 0.83 mm."""
+
+
 @cache
 def _ridge_pass() -> FloatArray:
     """(rows, columns // 2 + 1) 1 at the frequencies of ridges, 0 elsewhere."""
-    down = np.fft.fftfreq(COARSE_GRID_PX[0], COARSE_PITCH_MM)[:, None]
-    cycles = np.hypot(down, np.fft.rfftfreq(COARSE_GRID_PX[1], COARSE_PITCH_MM))
-    return np.asarray((cycles > CYCLES_PER_MM[0]) & (cycles < CYCLES_PER_MM[1]), dtype=np.float32)
+    down = np.fft.fftfreq(COARSE_GRID_PX[0], _COARSE_PITCH_MM)[:, None]
+    cycles = np.hypot(down, np.fft.rfftfreq(COARSE_GRID_PX[1], _COARSE_PITCH_MM))
+    return np.asarray((cycles > _CYCLES_PER_MM[0]) & (cycles < _CYCLES_PER_MM[1]), dtype=np.float32)

@@ -17,18 +17,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit.model import Array, FloatArray
-from splitknit_match.matching.parameters import (
-    AFFINE_NEAR_MM,
-    FIRM,
-    MIN_CORRELATION,
-    MIN_OVERLAP,
-    PATCH_MM,
-    SEARCH_MM,
-    SMOOTH,
-    SPAN_MM,
-    STEP_MM,
-    STILL,
-)
 from splitknit_match.matching.ridge_band import RidgeBand
 
 Affine = Array
@@ -96,6 +84,9 @@ class PatchGrid:
         return tuple(np.clip(cells, 0, np.array(self.grid) - 1).T)
 
 
+MIN_CORRELATION = 0.2  # patches that correlate less do not count in a fit
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
     """Shifts and correlations of the patches."""
@@ -125,11 +116,21 @@ class Agreement:
         return np.asarray(np.maximum(self.correlation - MIN_CORRELATION, 0.0) ** 2 * self.weight)
 
 
+_PATCH_MM = 2.4
+"""Side of a patch; 1.8 to 3.0 do as well (photographs against simulated presses;
+docs/explain/tried.md)."""
+STEP_MM = 1.6  # distance between the centres of two patches
+_SEARCH_MM = 0.4
+"""Largest shift of a patch along either axis; up to 0.7 does as well (photographs against
+simulated presses; docs/explain/tried.md)."""
+_MIN_OVERLAP = 0.6  # fraction of a patch that must be valid on both sides
+
+
 def patch_grid(
-    band: RidgeBand, step_mm: float = STEP_MM, search_mm: float = SEARCH_MM
+    band: RidgeBand, step_mm: float = STEP_MM, search_mm: float = _SEARCH_MM
 ) -> PatchGrid:
     """Cut the band (H, W) into patches; those with too little valid skin are left out."""
-    side = max(4, round(PATCH_MM / band.pitch_mm))
+    side = max(4, round(_PATCH_MM / band.pitch_mm))
     step = max(1, round(step_mm / band.pitch_mm))
     reach = max(1, round(search_mm / band.pitch_mm))
     spare = np.array(band.value.shape) - side
@@ -141,7 +142,7 @@ def patch_grid(
     fraction = _sums(np.pad(band.valid.view(np.uint8), border), side)[tuple(corner.T)] / (
         side * side
     )
-    kept = fraction >= MIN_OVERLAP
+    kept = fraction >= _MIN_OVERLAP
     patches = sliding_window_view(np.pad(band.value, border), (side, side))[tuple(corner[kept].T)]
     window = side + 2 * reach
     return PatchGrid(
@@ -182,7 +183,7 @@ def compare_patches(
         valid = cv2.remap(a.valid.view(np.uint8), source, _ONE_MAP, cv2.INTER_NEAREST)
     fraction = _sums(valid, side) / (side * side)
     common = np.minimum(fraction[tuple((patches.corner + reach).T)], patches.fraction)
-    used = np.flatnonzero(common >= MIN_OVERLAP)
+    used = np.flatnonzero(common >= _MIN_OVERLAP)
     if not len(used):
         none = np.zeros(0, dtype=np.float32)
         return Agreement(used, none, np.zeros((0, 2)), none)
@@ -210,8 +211,8 @@ def better_affine(patches: PatchGrid, agreement: Agreement, b_from: Affine) -> A
         return b_from
     position = patches.centres[agreement.used]
     centre = position.mean(axis=0)
-    span = SPAN_MM / patches.pitch_mm
-    near = AFFINE_NEAR_MM / patches.pitch_mm
+    span = 5.0 / patches.pitch_mm  # affine fit: length over which a linear part of 1 is penalised
+    near = 0.2 / patches.pitch_mm  # affine fit: residual at which a patch counts half
     design = np.column_stack([(position - centre) / span, np.ones(len(position))])
     robust = weight.astype(float)
     # the linear part is held back: a few patches must not shear the finger
@@ -237,25 +238,19 @@ def bent(patches: PatchGrid, agreement: Agreement, bend: FloatArray | None = Non
 
     Patches that correlate weakly count little; where none is near, the shift fades out.
     """
-    step = _smoothed(
-        patches.grid, tuple(patches.cell[agreement.used].T), agreement.shift, agreement.firmness
-    )
+    weight = agreement.firmness[:, None]
+    shifts = np.hstack([agreement.shift * weight, weight]).astype(np.float32)
+    total = np.zeros((*patches.grid, 3), dtype=np.float32)
+    np.add.at(total, tuple(patches.cell[agreement.used].T), shifts)
+    total = np.asarray(cv2.GaussianBlur(total, (0, 0), _SMOOTH, borderType=cv2.BORDER_CONSTANT))
+    step = total[..., :2] / (total[..., 2:] + STILL)
     return step if bend is None else bend + step
 
 
-def bent_by(patches: PatchGrid, position: Positions, shift: Positions) -> FloatArray:
-    """The same from shifts (N, 2) of positions (N, 2) in B."""
-    firm = np.full(len(position), FIRM, dtype=np.float32)
-    return _smoothed(patches.grid, patches.nearest(position), shift, firm)
-
-
-def _smoothed(
-    grid: tuple[int, int], cell: tuple[Indices, ...], shift: Positions, weight: FloatArray
-) -> FloatArray:
-    total = np.zeros((*grid, 3), dtype=np.float32)
-    np.add.at(total, cell, np.column_stack([shift * weight[:, None], weight]).astype(np.float32))
-    total = np.asarray(cv2.GaussianBlur(total, (0, 0), SMOOTH, borderType=cv2.BORDER_CONSTANT))
-    return total[..., :2] / (total[..., 2:] + (STILL * FIRM))
+_SMOOTH = 1.0
+"""Sigma over which the shifts of patches are averaged, in steps of their grid: skin stretches
+smoothly."""
+STILL = 0.008  # weight of no shift; a patch whose correlation is 0.6 has 0.16
 
 
 def bent_places(

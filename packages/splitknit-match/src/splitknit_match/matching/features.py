@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from splitknit.checks import check_image
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit_match.matching.parameters import STRIP
 
 # Codes of local binary patterns are bytes: bit k is set where the neighbour at the angle 2 pi k /
 # 8, counter-clockwise from the right, is at least as large as the pixel itself.
@@ -27,6 +26,8 @@ REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis's sizes in pixels hold. Source: thesis."""
 _DIAGONAL = float(np.sqrt(0.5))
 """How far right and up a neighbour on the diagonal is. Source: definition."""
+_STRIP = 64
+"""Rows whose codes are found at once: few enough for the cache."""
 
 
 def lbp_codes(image: FloatArray) -> Codes:
@@ -45,7 +46,7 @@ def lbp_codes(image: FloatArray) -> Codes:
     """
     padded = np.pad(check_image(image), 1, mode="edge")
     return np.concatenate(
-        [_codes(padded[top : top + STRIP + 2]) for top in range(0, image.shape[0], STRIP)]
+        [_codes(padded[top : top + _STRIP + 2]) for top in range(0, image.shape[0], _STRIP)]
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from operator import itemgetter
 
 import numpy as np
@@ -33,22 +34,6 @@ from splitknit_match.matching.minutia_pairs import (
     drifted,
     on_ridges,
     pair_minutiae,
-)
-from splitknit_match.matching.parameters import (
-    BENDS,
-    BY_BOTH,
-    BY_MINUTIAE,
-    BY_OVERLAP,
-    BY_OVERLAP_AND_MINUTIAE,
-    FEW,
-    LOG_FREQUENCIES,
-    MAX_LOG_SCALE,
-    ONE_LOG_SCALE,
-    PER_MINUTIA,
-    POSES_BENT,
-    SCALES,
-    SMALL_MM2,
-    SURE,
 )
 from splitknit_match.matching.ridge import (
     Prepared,
@@ -85,41 +70,59 @@ class _FusedMatch:
 
 
 def can_fuse(*templates: Template) -> bool:
-    """Whether all hold minutiae of a print."""
-    return all(template.minutiae is not None for template in templates)
+    """Whether all hold minutiae of a print, surfaces those of theirs."""
+    return all(template.printed.minutiae is not None for template in templates)
 
 
-def with_fusion(
-    templates: Iterable[Template], probe: Template | None = None
-) -> tuple[bool, tuple[Finding, ...]]:
-    """Whether some templates (with each other, or with a probe) are compared by
-    :func:`fused_match`, and findings.
+def by_ridges(a: Template, b: Template) -> bool:
+    """Whether two templates are compared by their ridges alone: two surfaces, or without
+    minutiae."""
+    return a.kind == b.kind == "surface" or not can_fuse(a, b)
 
-    They are if one of them (and the probe) holds minutiae. What holds none is compared by its
-    ridges, on the same scale; a finding counts such templates.
+
+def with_fusion(templates: Iterable[Template]) -> tuple[bool, tuple[Finding, ...]]:
+    """Whether templates are compared with each other by :func:`fused_match`, and findings.
+
+    They are if one of them is a print with minutiae. What holds none is compared by its ridges, on
+    the same scale; a finding counts such templates.
     """
-    held = [can_fuse(template) for template in templates]
-    fused = any(held) and (probe is None or can_fuse(probe))
+    each = list(templates)
+    held = [can_fuse(template) for template in each]
+    fused = any(template.minutiae is not None for template in each)
     if not fused or all(held):
         return fused, ()
     words = (
-        f"{held.count(False)} of {len(held)} templates hold no minutiae of this version; they"
+        f"{held.count(False)} of {len(held)} templates hold no minutiae; they"
         " were compared by their ridges alone, on the same scale."
     )
     return True, (Finding("no-minutiae", words),)
 
 
+SMALL_MM2 = 100.0
+"""A print that shows less is small: tried in every pose, and rated by what overlaps."""
+SURE = 9.0
+"""Support of an alignment by minutiae from which ridges propose none: 429 of 548 matching pairs of
+real prints have it, none of the 14,000 pairs of other fingers that are most similar by minutiae.
+Chosen on: real prints (validation/gallery/index.py)."""
+_LEAST_SUPPORT = 3.0
+"""Prints whose minutiae support their best alignment less need no look in a mirror: 939 of 954
+matching pairs of real prints have more, 42 of 42 of which one is mirrored too, 92 of 100 others
+less. (At a wrong scale too few minutiae are found.)"""
+_FEW = 9.0
+"""Minutiae that are added to those that could agree, so that few of few count little."""
+
+
 def fused_match(
     a: Template | Prepared, b: Template | Prepared, sure: float | None = None
 ) -> _FusedMatch:
-    """Compare two prints by their ridges and their minutiae.
+    """Compare two prints by their ridges and their minutiae; surfaces by their prints.
 
     Raises BadInput as :func:`splitknit_match.matching.ridge.ridge_match`.
 
     `a`, `b`: with minutiae, as :func:`splitknit_match.matching.inputs.print_template` makes them;
     `sure`: support of an alignment by minutiae from which ridges propose none (default: SURE).
     """
-    a, b = prepared(a), prepared(b)
+    a, b = prepared(a).printed, prepared(b).printed
     areas_mm2 = a.template.area_mm2, b.template.area_mm2
     small = 0 < min(areas_mm2) < SMALL_MM2
     by_area = small and areas_mm2[0] != areas_mm2[1]
@@ -132,7 +135,7 @@ def fused_match(
     minutiae = None
     if (many or small) and left.cylinders is not None and right.cylinders is not None:
         pairings = pair_minutiae(left.cylinders, right.cylinders)
-        minutiae = max((pairing.support for pairing in pairings), default=0.0)
+        minutiae = pairings[0].support if pairings else 0.0
     fraction = overlap_mm2 = math.nan
     support = math.nan if minutiae is None else minutiae
     if a.template.empty or b.template.empty:
@@ -148,7 +151,7 @@ def fused_match(
     correlation = best.correlation
     if minutiae is not None:
         count, possible = _agreeing_minutiae(left, right, best.patches, best.affine, best.bend)
-        fraction = count / math.sqrt(possible + FEW)
+        fraction = count / math.sqrt(possible + _FEW)
     elif not small:
         correlation, overlap_mm2 = overlap_correlation(
             best.patches, left.band, right.band, best.affine, best.bend
@@ -158,36 +161,66 @@ def fused_match(
     return _FusedMatch(fused_score(*evidence), minutiae, ridge, evidence)
 
 
-def fused_photo(a: Prepared, b: Prepared, photos: Sequence[bool]) -> tuple[_FusedMatch, float, int]:
+def may_match(a: Template, b: Template) -> bool:
+    """Whether two prints could match, by their minutiae alone."""
+    sides = [Prepared(template).cylinders for template in (a, b)]
+    if min(a.area_mm2, b.area_mm2) < SMALL_MM2 or sides[0] is None or sides[1] is None:
+        return True
+    pairings = pair_minutiae(sides[0], sides[1])
+    return bool(pairings) and pairings[0].support >= _LEAST_SUPPORT
+
+
+_SCALES = (1.0, 0.94, 1.06, 0.88, 1.12)
+"""Scales at which a photograph is tried, relative to that at which its ridges lie as far apart as
+the other side's do, which is wrong by 7 % (standard deviation)."""
+_MAX_LOG_SCALE = 0.15
+"""Natural logarithm of the largest change of a photograph's scale that its ridges are believed."""
+
+
+def fused_photo(
+    a: Prepared, b: Prepared, photos: Sequence[bool], sure: float | None = None
+) -> tuple[_FusedMatch, float, int]:
     """Compare a photograph of assumed scale at several, about that at which both have the same
     distance of ridges; the best match, its scale, and which side (0, 1) has it.
 
-    `photos`: which sides are photographs; of two, one is scaled.
+    `photos`: which sides are photographs; of two, one is scaled; `sure` as of :func:`fused_match`.
     """
+    a, b = a.printed, b.printed
     number = int(_order(a) > _order(b)) if all(photos) else int(photos[1])
     photo, fixed = ((a, b), (b, a))[number]
     log_scale = _log_frequency(photo.template) - _log_frequency(fixed.template)
-    middle = math.exp(min(max(log_scale, -MAX_LOG_SCALE), MAX_LOG_SCALE))
+    middle = math.exp(min(max(log_scale, -_MAX_LOG_SCALE), _MAX_LOG_SCALE))
 
     def match_at(scale: float) -> _FusedMatch:
         larger = Prepared(scaled(photo.template, scale))
-        return fused_match(fixed, larger) if number else fused_match(larger, fixed)
+        return fused_match(*((fixed, larger) if number else (larger, fixed)), sure)
 
-    tried = [(match_at(middle * scale), middle * scale) for scale in SCALES]
+    tried = [(match_at(middle * scale), middle * scale) for scale in _SCALES]
     match, scale = max(tried, key=lambda attempt: attempt[0].similarity)
     return match, scale, number
+
+
+_ONE_LOG_SCALE = 0.06
+"""Natural logarithm of a difference in the distance of ridges that says nothing: pairs of one
+finger have 0.03."""
 
 
 def at_one_scale(a: Template, b: Template) -> tuple[Template, Template, float] | None:
     """Two prints, the one with the finer ridges enlarged until those of both lie equally far apart,
     and by how much; None where they do as they are, within 6 %."""
     finer = _log_frequency(a) - _log_frequency(b)
-    if abs(finer) < ONE_LOG_SCALE:
+    if abs(finer) < _ONE_LOG_SCALE:
         return None
     scale = math.exp(abs(finer))
     return (scaled(a, scale), b, scale) if finer > 0 else (a, scaled(b, scale), scale)
 
 
+_LOG_FREQUENCIES = float(np.log(1 / 0.9)), float(np.log(1 / 0.28))
+"""Natural logarithms of the numbers of ridges in a millimetre between which a print's usual one is
+sought."""
+
+
+@lru_cache(64)
 def _log_frequency(template: Template) -> float:
     """Logarithm of the usual number of ridges in a millimetre, by the power spectrum; 0 of an empty
     template."""
@@ -197,10 +230,29 @@ def _log_frequency(template: Template) -> float:
     side = 1 << (max(value.shape) - 1).bit_length()
     power = np.square(np.abs(np.fft.rfft2(value - value.mean(), (side, side))))
     frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)) / template.pitch_mm
-    spectrum = np.histogram(np.log(np.maximum(frequency, 1e-9)), LOG_FREQUENCIES, weights=power)[0]
+    log_frequency = np.log(np.maximum(frequency, 1e-9))
+    spectrum, ends = np.histogram(log_frequency, 40, _LOG_FREQUENCIES, weights=power)
     peak = np.convolve(spectrum, (0.25, 0.5, 0.25), "same") ** 3
-    middles = 0.5 * (LOG_FREQUENCIES[1:] + LOG_FREQUENCIES[:-1])
+    middles = 0.5 * (ends[1:] + ends[:-1])
     return float(peak @ middles / max(float(peak.sum()), 1e-30))
+
+
+BY_BOTH = (3.5044, 19.9267, -10.2292)
+"""Logistic regression of prints that both show minutiae: weights of agreeing minutiae and of
+correlation, and offset, which is also the score where nothing was compared. Both classes have equal
+weight. Chosen on: simulated prints (validation/match/fvc.py --fit)."""
+BY_MINUTIAE = (0.8927, -3.947)
+"""Logistic regression of prints of which only minutiae could be compared: weight of the support of
+their alignment, and offset. Both classes have equal weight. Chosen on: simulated prints
+(validation/match/fvc.py --fit)."""
+BY_OVERLAP = (8.4813, 0.5001, -5.6423)
+"""Logistic regression of prints without minutiae: weights of the correlation and of that times the
+root of the area that overlaps, and offset. Both classes have equal weight. Chosen on: real prints
+(windows of them, validation/match/windows.json)."""
+BY_OVERLAP_AND_MINUTIAE = (4.8715, 8.1117, 0.5104, -6.1373)
+"""Logistic regression of small prints: weights of agreeing minutiae, of the correlation, and of
+that times the root of the area that overlaps, and offset. Both classes have equal weight. Chosen
+on: real prints (windows of them, validation/match/windows.json)."""
 
 
 def fused_score(
@@ -235,6 +287,14 @@ class _Alignment:
     ridge: RidgeMatch
 
 
+_BENDS = 2
+"""Times that the shifts of patches are smoothed and followed; up to 8 do as well (photographs
+against simulated presses; docs/explain/tried.md)."""
+_PER_MINUTIA = 0.2
+"""What an agreeing minutia counts when alignments are compared, beside correlation times the root
+of the patches. Chosen on: simulated presses with pulls. Range: 0.1 to 0.3."""
+
+
 def _best_alignment(
     a: Prepared, b: Prepared, pairings: list[Pairing], sure: float, *, drift: bool
 ) -> _Alignment:
@@ -247,13 +307,13 @@ def _best_alignment(
         first, bend = _bends(a, b, affine) if drift else (None, None)
         agreement = compare_patches(b.first, a.band, affine, first)
         count = _agreeing_minutiae(a, b, b.first, affine, first)[0] if drift else 0.0
-        tried.append((agreement.evidence + PER_MINUTIA * count, affine, agreement, bend))
+        tried.append((agreement.evidence + _PER_MINUTIA * count, affine, agreement, bend))
     _, affine, agreement, bend = max(tried, key=itemgetter(0))
     if not drift:
         affine = refined(a, b, affine, agreement)
     agreement = compare_patches(b.patches, a.band, affine, bend)
     ridge = scored(a, b, agreement)
-    agreement, bend = _followed(a, b.patches, affine, agreement, bend, times=1 if drift else BENDS)
+    agreement, bend = _followed(a, b.patches, affine, agreement, bend, times=1 if drift else _BENDS)
     return _Alignment(b.patches, affine, bend, agreement.mean, ridge)
 
 
@@ -264,7 +324,7 @@ def _best_pose(a: Prepared, b: Prepared, pairings: list[Pairing]) -> _Alignment:
     agreements = [(compare_patches(b.close, a.band, start), start) for start in starts]
     agreements.sort(key=lambda pose: -pose[0].evidence)
     poses = []
-    for agreement, affine in agreements[:POSES_BENT]:
+    for agreement, affine in agreements[:3]:  # poses of a small print that are bent
         bend = _followed(a, b.close, affine, agreement)[1]
         correlation, overlap_mm2 = overlap_correlation(b.close, a.band, b.band, affine, bend)
         ridge = RidgeMatch(correlation, correlation, overlap_mm2, compared=overlap_mm2 > 0)
@@ -279,7 +339,7 @@ def _followed(
     agreement: Agreement,
     bend: FloatArray | None = None,
     *,
-    times: int = BENDS,
+    times: int = _BENDS,
 ) -> tuple[Agreement, FloatArray]:
     """Patches after their shifts were smoothed and followed, and these shifts."""
     for _ in range(times):

@@ -12,6 +12,7 @@ from splitknit.arguments import (
     Progress,
     Report,
     ResolutionPpi,
+    Ridges,
     Settings,
     checked,
     refuse_given,
@@ -26,17 +27,17 @@ if TYPE_CHECKING:  # a comparison of templates loads neither
 
     from splitknit import Capture, Reconstruction
     from splitknit_match.matching.results import Match, TemplateMade
+    from splitknit_match.matching.ridge import Prepared
 
-    Finger = Reconstruction | Capture | NDArray[np.generic] | bytes | AnyPath
+    Finger = Reconstruction | Capture | NDArray[np.generic] | bytes | Prepared | AnyPath
 else:
     Finger = AnyPath
-    Match = TemplateMade = Any
+    Match = Prepared = TemplateMade = Any
 
 Method = Literal["auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae"] | str
 
 
 @checked
-@one_blas_thread()
 def match(
     a: Finger,
     b: Finger,
@@ -50,6 +51,7 @@ def match(
     mask: AnyPath | None = None,
     box: str | None = None,
     resolution_ppi: float | None = None,
+    ridges: Ridges = None,
     progress: Progress = silent,
 ) -> Match:
     """Report how similar two fingers are.
@@ -77,7 +79,10 @@ def match(
     box : str, optional
         Of a photograph: ``X,Y,W,H`` of the part in which the finger lies.
     resolution_ppi : float, optional
-        Pixels per inch of arrays, ridges dark; where none is an array, of the files.
+        Pixels per inch of arrays; where none is an array, of the files.
+    ridges : {"dark", "light"}, optional
+        Of arrays (by default dark); where none is an array, of the files (by default as they show
+        it; where they do not, both readings are compared).
     progress : called with the name of a stage and the fraction done, optional
 
     Returns
@@ -99,7 +104,14 @@ def match(
     'match'
     """
     from splitknit.settings import override
-    from splitknit_match.matching.inputs import Pixels, Side, held, is_photo, read_side
+    from splitknit_match.matching.inputs import (
+        Pixels,
+        Side,
+        held,
+        is_photo,
+        read_side,
+        with_print,
+    )
     from splitknit_match.matching.methods import (
         auto_method,
         check_method,
@@ -112,16 +124,18 @@ def match(
     from splitknit_match.matching.surface import MatchingSettings
     from splitknit_match.prints.photo_finger import PhotoFinger
 
+    one_blas_thread()
     check_rate(fmr)
     check_method(method)
-    fingers = held(a, resolution_ppi), held(b, resolution_ppi)
+    fingers = held(a, resolution_ppi, ridges), held(b, resolution_ppi, ridges)
     thesis = override(MatchingSettings(), settings or {}).thesis
     own = None if decision is None else read_own_rates(Path(decision))
     target = None if template is None else Path(template)
     check_template_file(target, *fingers)
     where = PhotoFinger(mask, box)
     # beside an array it is the array's
-    file_ppi = None if any(isinstance(each, Pixels) for each in fingers) else resolution_ppi
+    arrays = any(isinstance(each, Pixels) for each in fingers)
+    file_ppi = None if arrays else resolution_ppi
     photos = [(file_ppi is not None or where.chosen) and is_photo(finger) for finger in fingers]
     chosen = int(photos[1] and not photos[0])  # whose finger `mask` and `box` choose
 
@@ -130,6 +144,7 @@ def match(
             fingers[number], preset, silent if number else progress,
             # beside a print it is the photograph's
             file_ppi if photos[number] or not any(photos) else None,
+            ridges=None if arrays else ridges,
             where=where if number == chosen else None,
         )  # fmt: skip
 
@@ -143,20 +158,21 @@ def match(
             left, right = pool.map(read, range(2))
     else:
         left, right = read(0), read(1)
-    by = auto_method(left, right) if method == "auto" else method
+    sides = left, right
+    # two surfaces are compared as they are
+    if method == "fusion" or any(side.surface is None for side in sides):
+        sides = with_print(left), with_print(right)
+    by = auto_method(*sides) if method == "auto" else method
     if own is not None and own.method != by:
         raise BadInput(f"'{decision}' is for the method {own.method}, but {by} compares these.")
     progress("comparing", 0.9)
-    result = compare_sides(
-        by, left, right, fmr=fmr, own=own, thesis=thesis, known_scale=file_ppi is not None
-    )
+    result = compare_sides(by, *sides, fmr=fmr, own=own, thesis=thesis)
     progress("done", 1.0)
-    written = write_template_file(target, left)
+    written = write_template_file(target, sides[0])
     return replace(result, template=written)
 
 
 @checked
-@one_blas_thread()
 def make_template(
     finger: Finger,
     template: AnyPath | None = None,
@@ -166,6 +182,7 @@ def make_template(
     mask: AnyPath | None = None,
     box: str | None = None,
     resolution_ppi: float | None = None,
+    ridges: Ridges = None,
     progress: Progress = silent,
 ) -> TemplateMade:
     """Make the template of one finger, and write it where a file is named.
@@ -175,7 +192,7 @@ def make_template(
     finger : path, array (H, W) uint8, bytes of a template, Reconstruction or Capture
     template : path, optional
         File to write (.skt).
-    preset, settings, mask, box, resolution_ppi, progress : optional
+    preset, settings, mask, box, resolution_ppi, ridges, progress : optional
         As of :func:`match`.
 
     Returns
@@ -194,7 +211,7 @@ def make_template(
     >>> template = splitknit_match.make_template("print.png").payload  # doctest: +SKIP
     """
     from splitknit.settings import override
-    from splitknit_match.matching.inputs import held, read_side, undoubted
+    from splitknit_match.matching.inputs import held, read_side, undoubted, with_print
     from splitknit_match.matching.methods import (
         check_template_file,
         compared_side,
@@ -207,14 +224,52 @@ def make_template(
     from splitknit_match.prints.photo_finger import PhotoFinger
     from splitknit_match.records.templates import encode_template
 
+    one_blas_thread()
     override(MatchingSettings(), settings or {})  # refuses unknown ones
-    source, target = held(finger, resolution_ppi), None if template is None else Path(template)
+    source = held(finger, resolution_ppi, ridges)
+    target = None if template is None else Path(template)
     check_template_file(target, source)
-    side = read_side(source, preset, progress, resolution_ppi, where=PhotoFinger(mask, box))
+    where = PhotoFinger(mask, box)
+    side = with_print(
+        read_side(source, preset, progress, resolution_ppi, ridges=ridges, where=where)
+    )
     progress("done", 1.0)
     written = write_template_file(target, side)
     payload = encode_template(undoubted(side).payload, VERSION)
     return TemplateMade(compared_side(side), written, payload, template_findings(side))
+
+
+def prepare(template: bytes) -> Prepared:
+    """Make a template ready to be compared more than once by :func:`match`.
+
+    Parameters
+    ----------
+    template : bytes
+        What a `.skt` file of ridges holds.
+
+    Returns
+    -------
+    Prepared
+
+    Raises
+    ------
+    BadInput
+        If the template is damaged, or holds minutiae.
+
+    Examples
+    --------
+    >>> import splitknit_match
+    >>> finger = splitknit_match.prepare(template)  # doctest: +SKIP
+    >>> [splitknit_match.match(finger, other).answer for other in others]  # doctest: +SKIP
+    """
+    from splitknit_match.matching.inputs import held
+    from splitknit_match.matching.ridge import Prepared
+    from splitknit_match.matching.template import unpack
+
+    payload = held(template)
+    if not isinstance(payload, bytes):
+        raise BadInput("`template` must be bytes, what a `.skt` file holds.")
+    return Prepared(unpack(payload))
 
 
 @checked
@@ -228,6 +283,7 @@ def match_or_make_template(
     decision: AnyPath | None = None,
     template: AnyPath | None = None,
     resolution_ppi: ResolutionPpi = None,
+    ridges: Ridges = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     raw: bool = False,
@@ -247,9 +303,8 @@ def match_or_make_template(
     method
         auto (the default: fusion of two prints, minutiae where one holds minutiae only, else
         ridge), ridge, fusion (of ridges and minutiae of two prints), thesis (local binary patterns;
-        needs captures or results), thesis-code (as the author's program has them), minutiae (of the
-        prints, compared by NIST's bozorth3; needs the extra minutiae, on x86-64 Linux), or your own
-        MODULE:FUNCTION.
+        needs captures or results), thesis-code (as the author's program has them), minutiae (of
+        records and prints), or your own MODULE:FUNCTION.
     preset
         How captures are reconstructed.
     fmr
@@ -283,6 +338,7 @@ def match_or_make_template(
     """
     finger: dict[str, Any] = {
         "resolution_ppi": resolution_ppi,
+        "ridges": ridges,
         "mask": mask,
         "box": box,
         "template": template,

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,9 +18,16 @@ from splitknit import BadInput
 from splitknit.errors import naming, require
 from splitknit.findings import Finding, Severity, worst_first
 from splitknit.registry import own_object
-from splitknit_match.matching.fusion import at_one_scale, can_fuse, fused_match, fused_photo
-from splitknit_match.matching.inputs import Side, undoubted
-from splitknit_match.matching.parameters import DECIDED_AT, SMALL_MM2
+from splitknit_match.matching.fusion import (
+    SMALL_MM2,
+    at_one_scale,
+    by_ridges,
+    fused_match,
+    fused_photo,
+    may_match,
+)
+from splitknit_match.matching.inputs import Side, undoubted, with_print
+from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.results import (
     ComparedSide,
     FmrBasis,
@@ -34,10 +41,9 @@ from splitknit_match.matching.results import (
     TemplateFile,
 )
 from splitknit_match.matching.ridge import Prepared, RidgeMatch, ridge_match
-from splitknit_match.matching.score import FmrTable
+from splitknit_match.matching.score import FMR_ROUNDING, FmrTable
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.template import VERSION, Template, mirrored
-from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.records.templates import is_template, write_template
 
@@ -47,20 +53,97 @@ if TYPE_CHECKING:
 TABLES = {
     "ridge": "match_fmr.json",
     "fusion": "match_fmr_prints.json",
-    "fingerphotos": "match_fmr_fingerphotos.json",
     "fingerphotos alone": "match_fmr_fingerphotos_alone.json",
     "fingerphotos and prints": "match_fmr_fingerphotos_and_prints.json",
+    "contactless alone": "match_fmr_contactless_alone.json",
+    "contactless and prints": "match_fmr_contactless_and_prints.json",
     "windows": "match_fmr_windows.json",
-    "minutiae": "match_fmr_minutiae.json",
     "minutiae_of_prints": "match_fmr_minutiae_prints.json",
+    "minutiae_of_records": "match_fmr_minutiae_records.json",
 }
-"""Impostor scores, made by validation/match/impostors.py of simulated fingers and by windows.py of
-real prints."""
+"""Impostor scores, made by validation/match/impostors.py, telephone.py and surfaces.py of simulated
+fingers, by windows.py of real prints and by records.py of real records."""
+_AT_LEAST = {
+    "contactless alone": "fusion",
+    "contactless and prints": "fusion",
+    "minutiae_of_prints": "minutiae_of_records",
+}
+"""Whose rates are stated where they are larger: real prints have impostors that simulated ones
+lack."""
 OwnMatcher = Callable[[NDArray[np.uint8], NDArray[np.uint8]], float]
 """From two prints (H, W) at 500 ppi, ridges dark, to a similarity; NaN: not compared."""
 REAL_PRINTS = "match_fmr_real_prints.json"
 """The fusion's impostor scores of real prints, which state the rates that are not too small for
 them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """Two fingers, compared by ridges, the fusion or minutiae; whichever door they came by."""
+
+    similarity: float
+    compared: bool
+    scores: str
+    """Impostors by which it is rated."""
+    ridge: RidgeMatch
+    minutiae: float | None = None
+    """Similarity of minutiae alone."""
+    scale: float = 1.0
+    """At which a photograph fits best, of side `scaled` (0, 1)."""
+    scaled: int = 0
+
+    def rated(self, fmr: float | None, own: FmrTable | None = None) -> Rated:
+        """Answer and false match rate, decided at `fmr`."""
+        if not self.compared:
+            return _unknown("nothing was compared")
+        return rate(self.similarity, self.scores, self.ridge.overlap_mm2, fmr, own)
+
+
+def compare_templates(method: str, a: Prepared, b: Prepared, sure: float | None = None) -> Compared:
+    """Compare two templates by ``ridge`` or ``fusion``; `sure` as of
+    :func:`splitknit_match.matching.fusion.fused_match`."""
+    kinds = a.template.kind, b.template.kind
+    if method == "ridge":
+        ridge = ridge_match(a, b)
+        sides = (a, b) if kinds[0] == kinds[1] else (a.printed, b.printed)
+        areas_mm2 = sides[0].template.area_mm2, sides[1].template.area_mm2
+        scores = scores_of(impostors_of(method, *kinds), areas_mm2, None)
+        return Compared(ridge.similarity, ridge.compared, scores, ridge)
+    photos = [kind == "photo" for kind in kinds]
+    scale, number = 1.0, 0
+    if any(photos):
+        fused, scale, number = fused_photo(a, b, photos, sure)
+    else:
+        fused = fused_match(a, b, sure)
+    areas_mm2 = a.printed.template.area_mm2, b.printed.template.area_mm2
+    scores = scores_of(impostors_of(method, *kinds), areas_mm2, fused.minutiae)
+    return Compared(
+        fused.similarity, fused.compared, scores, fused.ridge, fused.minutiae, scale, number
+    )
+
+
+def compare_minutiae(a: Minutiae, b: Minutiae) -> Compared:
+    """Compare two sets of minutiae."""
+    scores = impostors_of("minutiae", a.kind, b.kind)
+    return Compared(minutiae_match(a, b), a.acquired and b.acquired, scores, RidgeMatch(-1.0))
+
+
+def impostors_of(method: str, *kinds: str) -> str:
+    """Impostors by which a comparison of two kinds is rated, see :data:`TABLES`."""
+    photos = sum("photo" in kind for kind in kinds)
+    contactless = sum(kind in ("surface", "contactless") for kind in kinds)
+    if method != "fusion" and photos:
+        return f"{method} on photographs"
+    if method == "minutiae" and kinds != ("surface", "surface"):
+        return "minutiae_of_prints"
+    if method != "fusion":
+        return method
+    if photos and contactless:
+        return f"{method} of photographs with surfaces"
+    if not photos + contactless:
+        return method
+    what = "fingerphotos" if photos else "contactless"
+    return f"{what} alone" if photos + contactless == 2 else f"{what} and prints"
 
 
 def compare_sides(
@@ -71,35 +154,27 @@ def compare_sides(
     fmr: float | None,
     own: FmrTable | None,
     thesis: ThesisSettings,
-    known_scale: bool,
 ) -> Match:
     """Compare two fingers by a method, with false match rate and decision.
 
-    `known_scale`: photographs of fingers are not tried at several. Raises BadInput, naming the file
-    at fault, or if `fmr` is below what was measured.
+    Where a print does not show whether its ridges are dark, the reading that matches is taken.
+    Raises BadInput, naming the file at fault, or if `fmr` is below what was measured.
     """
-    photos = [side.kind == "photo" for side in (a, b)]
-    scores = method
-    if any(photos):
-        kinds = {"photo": " alone", "print": " and prints"}
-        of = kinds.get(a.kind if photos[1] else b.kind, "")
-        scores = f"fingerphotos{of}" if method == "fusion" else f"{method} on photographs"
-    elif method == "minutiae" and (a.surface is None or b.surface is None):
-        scores = "minutiae_of_prints"
-    if method == "ridge":
-        ridge = ridge_match(_template(a), _template(b))
-        match: Match = MatchOfRidges(
-            method="ridge",
-            a=compared_side(a),
-            b=compared_side(b),
-            similarity=ridge.similarity,
-            compared=ridge.compared,
-            **_alignment(ridge),
-        )
-    elif method == "fusion":
-        match = _by_ridges_and_minutiae(a, b, photos if any(photos) and not known_scale else None)
+    if method in ("ridge", "fusion") and (a.either or b.either):
+        compare = partial(compare_sides, method, fmr=fmr, own=own, thesis=thesis)
+        dark = compare(a.reading(light=False), b.reading(light=False))
+        if dark.answer == "match":
+            return dark
+        # a negative beside a print is as the print beside a negative
+        light = compare(a.reading(light=a.either), b.reading(light=not a.either))
+        return light if light.answer == "match" else dark
+    kinds = [side.template.kind for side in (a, b) if side.template is not None]
+    scores = impostors_of(method, *kinds)
+    match: Match
+    if method in ("ridge", "fusion"):
+        match, scores = _by_templates(method, a, b)
     elif method == "minutiae":
-        match = _by_minutiae(a, b)
+        match, scores = _by_minutiae(a, b)
     elif method in ("thesis", "thesis-code"):
         match = _by_images(method, thesis, a, b)
     else:
@@ -109,13 +184,16 @@ def compare_sides(
     findings = [*a.findings, *b.findings, *match.findings]
     findings += _failure(method, a, match.a) + _failure(method, b, match.b)
     match = replace(match, findings=worst_first(findings))
-    if method == "fusion" and not any(photos) and match.fmr is not None and match.answer != "match":
+    photos = any("photo" in kind for kind in kinds)
+    if method == "fusion" and not photos and match.fmr is not None and match.answer != "match":
         templates = _template(a), _template(b)
         doubt = scale_doubt(*templates, fmr, own)
+        turned = mirrored(templates[0].printed)
         if (
             doubt is None
             and match.answer == "no match"
-            and _prints_match(mirrored(templates[0]), templates[1], fmr, own)
+            and may_match(turned, templates[1])
+            and _prints_match(turned, templates[1], fmr, own)
         ):
             doubt = Finding(
                 "mirrored-print",
@@ -137,7 +215,7 @@ def auto_method(a: Side, b: Side) -> str:
     """The method for what two sides hold."""
     if a.template is None or b.template is None:
         return "minutiae"
-    return "fusion" if can_fuse(a.template, b.template) else "ridge"
+    return "ridge" if by_ridges(a.template, b.template) else "fusion"
 
 
 def check_template_file(template: Path | None, *inputs: Any) -> None:
@@ -163,80 +241,77 @@ def write_template_file(template: Path | None, side: Side) -> TemplateFile | Non
     return TemplateFile(str(template), template.stat().st_size)
 
 
-def _alignment(ridge: RidgeMatch) -> dict[str, Any]:
-    """What comparisons by ridges have in common."""
-    return {
+def _by_templates(method: str, a: Side, b: Side) -> tuple[MatchOfRidges, str]:
+    """Compare by ridges alone, or two prints by ridges and minutiae; and the impostors that rate
+    it.
+
+    Raises BadInput if a side holds no ridges, or of the method fusion no minutiae.
+    """
+    templates = [_comparable(method, side) for side in (a, b)]
+    left, right = (
+        side.prepared or Prepared(template)
+        for side, template in zip((a, b), templates, strict=True)
+    )
+    pair = compare_templates(method, left, right)
+    ridge = pair.ridge
+    common: dict[str, Any] = {
+        "method": method,
+        "a": compared_side(a),
+        "b": compared_side(b),
+        "similarity": pair.similarity,
+        "compared": pair.compared,
         "overlap_mm2": ridge.overlap_mm2,
         "correlation": ridge.correlation,
         "alignment": PlaneAlignment(ridge.rotation_deg, ridge.right_mm, ridge.up_mm),
     }
-
-
-def _by_ridges_and_minutiae(a: Side, b: Side, photos: Sequence[bool] | None) -> MatchOfPrints:
-    """Compare two prints; `photos`: which sides are photographs of assumed scale, tried at several.
-
-    Raises BadInput if a side holds no minutiae.
-    """
-    sides = []
-    for side in (a, b):
-        minutiae = _template(side).minutiae
-        if minutiae is None:
-            raise BadInput(
-                f"{side.path} is a {side.kind} without minutiae of a print; the method fusion"
-                " compares prints: name one, or a template (.skt) that was made of one."
-            )
-        acquired = minutiae.acquired or not _template(side).empty
-        sides.append(replace(compared_side(side), minutiae=minutiae.count, acquired=acquired))
-    left, right = Prepared(_template(a)), Prepared(_template(b))
+    if method == "ridge":
+        return MatchOfRidges(**common), pair.scores
+    for name, side in (("a", a), ("b", b)):
+        printed = _template(side).printed
+        assert printed.minutiae is not None
+        acquired = printed.minutiae.acquired or not printed.empty
+        common[name] = replace(common[name], minutiae=printed.minutiae.count, acquired=acquired)
     findings = []
-    if photos is None:
-        fused = fused_match(left, right)
-    else:
-        fused, scale, number = fused_photo(left, right, photos)
-        if abs(scale - 1) >= 0.01:
-            larger = f"{100 * abs(scale - 1):.0f} % {'larger' if scale > 1 else 'smaller'}"
-            fits = Finding("fingerphoto-scale", f"it fits best {larger}.")
-            findings.append(fits.of_file(sides[number].path))
-    return MatchOfPrints(
-        method="fusion",
-        a=sides[0],
-        b=sides[1],
-        similarity=fused.similarity,
-        compared=fused.compared,
-        similarity_of_ridges=fused.ridge.similarity,
-        similarity_of_minutiae=fused.minutiae,
+    if abs(pair.scale - 1) >= 0.01:
+        larger = f"{100 * abs(pair.scale - 1):.0f} % {'larger' if pair.scale > 1 else 'smaller'}"
+        fits = Finding("fingerphoto-scale", f"it fits best {larger}.")
+        findings.append(fits.of_file((a, b)[pair.scaled].path))
+    match = MatchOfPrints(
+        **common,
+        similarity_of_ridges=ridge.similarity,
+        similarity_of_minutiae=pair.minutiae,
         findings=tuple(findings),
-        **_alignment(fused.ridge),
     )
+    return match, pair.scores
 
 
-def _by_minutiae(a: Side, b: Side) -> Match:
-    """Compare by minutiae: surfaces by their relief prints as they are, prints from files after
-    enhancement.
-
-    Raises BadInput if a side is a template of ridges, or nbis-py is not installed.
-    """
-    minutiae = side_minutiae(a), side_minutiae(b)
-    sides = []
-    for side, own in zip((a, b), minutiae, strict=True):
-        quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side), PPI)
-        sides.append(
-            replace(
-                compared_side(side),
-                minutiae=own.count,
-                acquired=own.acquired,
-                nfiq2=None if quality == NFIQ2_FAILED else quality,
-                enhanced=side.picture is not None,
-            )
+def _comparable(method: str, side: Side) -> Template:
+    template = _template(side)
+    if method != "ridge" and template.printed.minutiae is None:
+        raise BadInput(
+            f"{side.path} is a {side.kind} without minutiae of a print; the method {method}"
+            " compares prints: name one, or a template (.skt) that was made of one."
         )
-    compared = all(own.acquired for own in minutiae)
-    return Match(
+    return template
+
+
+def _by_minutiae(a: Side, b: Side) -> tuple[Match, str]:
+    """Compare by minutiae; and the impostors that rate it. Raises BadInput if a side is a template
+    of ridges."""
+    minutiae = side_minutiae(a), side_minutiae(b)
+    sides = [
+        replace(compared_side(side), minutiae=own.count, acquired=own.acquired)
+        for side, own in zip((a, b), minutiae, strict=True)
+    ]
+    pair = compare_minutiae(*minutiae)
+    match = Match(
         method="minutiae",
         a=sides[0],
         b=sides[1],
-        similarity=minutiae_match(*minutiae),
-        compared=compared,
+        similarity=pair.similarity,
+        compared=pair.compared,
     )
+    return match, pair.scores
 
 
 def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> MatchOfImages:
@@ -335,19 +410,13 @@ def _failure(method: str, side: Side, compared: ComparedSide) -> list[Finding]:
 
 
 def side_minutiae(side: Side) -> Minutiae:
-    """Minutiae of a side: those of its record, or of its print, as ``splitknit print`` finds them.
-
-    Those of a surface are mindtct's, of its relief seen from above. Raises BadInput if it is a
-    template of ridges, or nbis-py is not installed.
-    """
-    if side.minutiae is not None:
-        return side.minutiae
-    image = _print_of(side)
-    if side.surface is not None:
-        return naming(side.path, lambda: extract(image, PPI))
-    from splitknit_match.prints.from_file import print_minutiae  # a template needs none of it
-
-    return naming(side.path, lambda: print_minutiae(image))
+    """Minutiae of a side: those of its record, or of its print (of a surface unrolled). Raises
+    BadInput if it is a template that holds none."""
+    minutiae = side.minutiae
+    if minutiae is None:
+        minutiae = _comparable("minutiae", with_print(side)).printed.minutiae
+        assert minutiae is not None
+    return minutiae if side.template is None else replace(minutiae, kind=side.template.kind)
 
 
 def _print_of(side: Side) -> NDArray[np.uint8]:
@@ -371,9 +440,8 @@ def reason(doubt: Finding) -> str:
 
 def _prints_match(a: Template, b: Template, fmr: float | None, own: FmrTable | None) -> bool:
     """Whether two prints match by ridges and minutiae."""
-    fused = fused_match(a, b)
-    scores = scores_of("fusion", (a.area_mm2, b.area_mm2), fused.minutiae)
-    return rate(fused.similarity, scores, fused.ridge.overlap_mm2, fmr, own).answer == "match"
+    pair = compare_templates("fusion", Prepared(a), Prepared(b))
+    return pair.rated(fmr, own).answer == "match"
 
 
 def scale_doubt(
@@ -381,7 +449,7 @@ def scale_doubt(
 ) -> Finding | None:
     """Why two prints that do not match are not shown to be of two fingers: at one scale of their
     ridges they match."""
-    sides = at_one_scale(a, b)
+    sides = at_one_scale(a.printed, b.printed)
     if sides is None or not _prints_match(*sides[:2], fmr, own):
         return None
     apart = 100 * (sides[2] - 1)
@@ -408,9 +476,7 @@ def _rated(
     if not match.compared:
         rated = _unknown("nothing was compared")
     else:
-        minutiae = match.similarity_of_minutiae if isinstance(match, MatchOfPrints) else None
         overlap_mm2 = match.overlap_mm2 if isinstance(match, MatchOfRidges) else None
-        scores = scores_of(scores, (match.a.area_mm2, match.b.area_mm2), minutiae)
         rated = rate(match.similarity, scores, overlap_mm2, fmr, own)
     # one resolution confirms the other
     if doubts and not (len(doubts) == 1 and rated.answer == "match"):
@@ -430,9 +496,14 @@ def scores_of(method: str, areas_mm2: tuple[float, float], minutiae: float | Non
     small = min(areas_mm2) < SMALL_MM2
     if method == "fusion":
         return "windows" if small or minutiae is None else method
+    if method.startswith("contactless"):
+        return f"{method} small" if small or minutiae is None else method
     return (
         f"{method} small" if small and (method == "ridge" or "fingerphotos" in method) else method
     )
+
+
+DECIDED_AT = 1e-4  # false match rate at which is decided whether it is one finger
 
 
 def rate(
@@ -462,7 +533,7 @@ def rate(
             f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {table.rated_mm2:.0f} mm² or"
             " more"
         )
-    rated = Rated(fmr=table(similarity - table.rounding), fmr_basis=table.basis)
+    rated = Rated(fmr=table(similarity - FMR_ROUNDING), fmr_basis=table.basis)
     at = max(DECIDED_AT, table.smallest) if fmr is None else fmr
     if at < table.smallest and scores == "windows":
         why = (
@@ -507,6 +578,25 @@ def _document(file: str) -> dict[str, Any]:
 
 @cache
 def _fmr_table(method: str) -> FmrTable:
+    """Impostor scores of a method of :data:`TABLES`, or where they state the larger rate those of
+    :data:`_AT_LEAST`."""
+    table = _measured(method)
+    if method not in _AT_LEAST:
+        return table
+    other = _fmr_table(_AT_LEAST[method])
+    similarity = np.union1d(table.similarity, other.similarity)
+    fmr = np.array([max(table(each), other(each)) for each in similarity])
+    return replace(
+        other,
+        similarity=similarity,
+        fmr=fmr,
+        impostors=table.impostors + other.impostors,
+        population=f"of them {table.impostors:,} {table.population}; {other.population}",
+        method=method,
+    )
+
+
+def _measured(method: str) -> FmrTable:
     """Impostor scores of a method of :data:`TABLES`; of the fusion real ones, and simulated ones
     where those end."""
     document = _document(TABLES[method])

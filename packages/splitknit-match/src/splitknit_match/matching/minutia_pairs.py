@@ -19,27 +19,6 @@ from numpy.typing import NDArray
 
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid
-from splitknit_match.matching.parameters import (
-    ARM_MM,
-    DRIFT_MM,
-    DRIFT_STEPS,
-    FITS_MM,
-    FITS_RAD,
-    MARGIN_MM,
-    MAX_COMPARED,
-    MIN_COMMON,
-    MIN_FIT,
-    PAIRS,
-    PAIRS_NEAR_MM,
-    RELAXATION_STEPS,
-    SIGMOID_CENTRE,
-    SIGMOID_SLOPE,
-    SLIP_MM,
-    SLIP_REACH_MM,
-    STRETCH,
-    TURN_RAD,
-    UNPAIRED,
-)
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.prints.minutiae_record import Minutiae
 
@@ -76,24 +55,21 @@ class Cylinders:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairing:
-    """How A lies on B: turned about its centre, then moved; and the pairs of minutiae that show
-    it."""
+    """How A lies on B: turned about its centre, then moved."""
 
     angle_rad: float
-    right_mm: float
-    up_mm: float
+    shift_mm: complex
+    """To the right, and up times i."""
     support: float
     """About how many pairs of minutiae fit each other."""
-    a: Places
-    b: Places
 
     def affine(self, a: RidgeBand, b: RidgeBand) -> Affine:
         """Position in B to position in A."""
-        return rigid(a, b, self.angle_rad, self.right_mm, -self.up_mm)
+        return rigid(a, b, self.angle_rad, self.shift_mm.real, -self.shift_mm.imag)
 
     def moved(self, place: Places) -> Places:
         """Places (N,) of A on B."""
-        return np.asarray(place * np.exp(1j * self.angle_rad) + complex(self.right_mm, self.up_mm))
+        return np.asarray(place * np.exp(1j * self.angle_rad) + self.shift_mm)
 
 
 _LINE_MM = (2 * _RADIUS_MM / _CELLS * (np.arange(_CELLS) - (_CELLS - 1) / 2)).astype(np.float32)
@@ -106,14 +82,14 @@ _ROUND = np.hypot(_LINE_MM[:, None], _LINE_MM) <= _RADIUS_MM
 """Which cells of the square are a cylinder's."""
 CYLINDER = int(_ROUND.sum()) * _LEVELS
 """Numbers of a cylinder."""
+MAX_COMPARED = 100
+"""Minutiae that are compared: the most reliable. Chosen on: speed."""
 
 
 def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> Cylinders:
     """Cylinders of a print's minutiae; `valid` (H, W) are its ridges, mirrored as a template has
     them."""
-    if minutiae.count > MAX_COMPARED:
-        best = np.argsort(-minutiae.quality.astype(np.int64), kind="stable")[:MAX_COMPARED]
-        minutiae = minutiae.taken(np.sort(best))
+    minutiae = minutiae.best(MAX_COMPARED)
     count = minutiae.count
     place = -minutiae.x_mm + 1j * minutiae.y_mm
     turn = np.pi - minutiae.direction_rad
@@ -138,9 +114,10 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
     near = (right @ up_by_direction.swapaxes(1, 2)).reshape(count, _CELLS, _CELLS, _LEVELS)[
         :, _ROUND
     ]
-    value = 1 / (1 + np.exp(SIGMOID_SLOPE * (SIGMOID_CENTRE - near)))
+    # a sigmoid: many minutiae in a cell count little more than one
+    value = 1 / (1 + np.exp(17.0 * (0.234 - near)))
     cells = place[:, None] + (_LINE_MM[:, None] + 1j * _LINE_MM)[_ROUND] * ahead
-    reach = round(MARGIN_MM / pitch_mm)
+    reach = round(0.5 / pitch_mm)  # so far beyond the ridges a print would still show its minutiae
     print_area = cv2.dilate(
         np.pad(valid.view(np.uint8), reach), np.ones((2 * reach + 1,) * 2, np.uint8)
     )
@@ -161,26 +138,29 @@ def on_ridges(valid: BoolArray, place: FloatArray) -> BoolArray:
     return np.pad(valid, 1)[rows, columns]
 
 
+_MIN_FIT = 0.2  # pairs that fit the best one less do not go with it
+
+
 def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Pairing]:
     """At most two alignments of `a` on `b` by pairs of minutiae that support each other, the best
     first."""
     if min(len(a.turn), len(b.turn)) < 2:
         return []
     similarity = _similarity(a, b)
-    count = min(PAIRS, similarity.size)
+    count = min(120, similarity.size)  # most similar pairs, which are relaxed
     best = np.argpartition(-similarity, count - 1, axis=None)[:count]
     i, j = np.unravel_index(np.sort(best), similarity.shape)
     first = similarity[i, j].astype(float)
     fits = _compatible((a.place[i], a.turn[i]), (b.place[j], b.turn[j]))
     fits[(i[:, None] == i) | (j[:, None] == j)] = 0.0
     value = first
-    for _ in range(RELAXATION_STEPS):
+    for _ in range(5):  # steps of the relaxation
         value = 0.5 * value + 0.5 * (fits @ value) / (count - 1)
     pairings = []
     free = value.copy()
     for _ in range(2):
         top = int(np.argmax(free))
-        member = (fits[top] >= MIN_FIT) | (np.arange(count) == top)
+        member = (fits[top] >= _MIN_FIT) | (np.arange(count) == top)
         near = np.where(np.arange(count) == top, value, fits[top] * value)
         company: list[int] = []
         for k in np.argsort(-near, kind="stable").tolist():
@@ -199,8 +179,11 @@ def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Pairing]:
                 support,
             )
         )
-        free[(fits[top] > MIN_FIT) | (np.arange(count) == top)] = 0.0
+        free[(fits[top] > _MIN_FIT) | (np.arange(count) == top)] = 0.0
     return sorted(pairings, key=lambda pairing: -pairing.support)
+
+
+_FITS_RAD = 0.35  # difference of directions at which a minutia laid on another counts 1/e
 
 
 def agreeing(laid: Directed, minutiae: Directed) -> float:
@@ -209,9 +192,20 @@ def agreeing(laid: Directed, minutiae: Directed) -> float:
         return 0.0
     distance = np.abs(laid[0][:, None] - minutiae[0])
     turn = _wrapped(laid[1][:, None] - minutiae[1])
-    fit = np.exp(-((distance / FITS_MM) ** 2) - (turn / FITS_RAD) ** 2)
+    # a minutia laid on another counts 1/e at 0.4 mm
+    fit = np.exp(-((distance / 0.4) ** 2) - (turn / _FITS_RAD) ** 2)
     mutual = (fit == fit.max(axis=1, keepdims=True)) & (fit == fit.max(axis=0))
     return float(fit[mutual].sum())
+
+
+_DRIFT_MM = (0.7, 0.25)
+"""Standard deviation of a minutia's place about its partner's, in the first and the last step of
+the drift. Chosen on: simulated presses with pulls. Range: 0.5 to 1.0, 0.25 to 0.3."""
+_DRIFT_STEPS = 8
+"""Steps of the drift. Chosen on: simulated presses with pulls. Range: 8 to 15."""
+_UNPAIRED = 0.1
+"""Weight of a minutia having no partner, relative to one that lies on it. Chosen on: simulated
+presses with pulls. Range: 0.05 to 0.3."""
 
 
 def drifted(laid: Directed, minutiae: Directed, places: Sequence[Places]) -> list[Array]:
@@ -225,13 +219,13 @@ def drifted(laid: Directed, minutiae: Directed, places: Sequence[Places]) -> lis
     offset = (minutiae[0][:, None] - laid[0]).astype(np.complex64)
     real, imag = np.ascontiguousarray(offset.real), np.ascontiguousarray(offset.imag)
     turned = _wrapped(minutiae[1][:, None] - laid[1]).astype(np.float32)
-    turn = -0.5 * (turned / np.float32(FITS_RAD)) ** 2
+    turn = -0.5 * (turned / np.float32(_FITS_RAD)) ** 2
     prior = _slip(minutiae[0], minutiae[0])
     shift = weighted = np.zeros((len(prior), 2))
-    for sigma_mm in np.geomspace(*DRIFT_MM, DRIFT_STEPS):
+    for sigma_mm in np.geomspace(*_DRIFT_MM, _DRIFT_STEPS):
         x, y = shift.astype(np.float32).T[..., None]
         fit = np.exp(turn - np.float32(0.5 / sigma_mm**2) * ((real - x) ** 2 + (imag - y) ** 2))
-        fit /= np.maximum(fit.sum(axis=1, keepdims=True), fit.sum(axis=0)) + np.float32(UNPAIRED)
+        fit /= np.maximum(fit.sum(axis=1, keepdims=True), fit.sum(axis=0)) + np.float32(_UNPAIRED)
         weight = np.maximum(fit.sum(axis=1, dtype=float), 1e-6)
         target = np.stack([(fit * real).sum(axis=1), (fit * imag).sum(axis=1)]) / weight
         weighted = np.linalg.solve(prior + np.diag(sigma_mm**2 / weight), target.T)
@@ -239,10 +233,18 @@ def drifted(laid: Directed, minutiae: Directed, places: Sequence[Places]) -> lis
     return [_slip(part, minutiae[0]) @ weighted for part in places]
 
 
+_SLIP_MM = (0.8, 0.3)
+"""Standard deviations of skin's shift along one axis: of its smooth part, and of the whole print.
+Chosen on: simulated presses with pulls. Range: 0.4 to 1.0 (the smooth part)."""
+_SLIP_REACH_MM = 4.0
+"""Distance over which the correlation of the smooth part falls to exp(-1/2). Chosen on: simulated
+presses with pulls. Range: 3 to 6."""
+
+
 def _slip(a: Places, b: Places) -> Array:
     """(N, M) covariance, mm2, of the skin's shift along one axis between places."""
-    near = np.exp(-0.5 * (np.abs(a[:, None] - b) / SLIP_REACH_MM) ** 2)
-    return np.asarray(SLIP_MM[0] ** 2 * near + SLIP_MM[1] ** 2)
+    near = np.exp(-0.5 * (np.abs(a[:, None] - b) / _SLIP_REACH_MM) ** 2)
+    return np.asarray(_SLIP_MM[0] ** 2 * near + _SLIP_MM[1] ** 2)
 
 
 def _similarity(a: Cylinders, b: Cylinders) -> FloatArray:
@@ -252,7 +254,8 @@ def _similarity(a: Cylinders, b: Cylinders) -> FloatArray:
     power_b = a.known @ (b.value * b.value).T
     distance = np.sqrt(np.maximum(power_a + power_b - 2 * cross, 0))
     total = np.sqrt(power_a) + np.sqrt(power_b)
-    enough = (a.known @ b.known.T >= MIN_COMMON * a.known.shape[1]) & (total > 0)
+    # fraction of a cylinder that both prints must show
+    enough = (a.known @ b.known.T >= 0.5 * a.known.shape[1]) & (total > 0)
     return np.where(enough, 1 - distance / np.maximum(total, 1e-6), 0.0)
 
 
@@ -264,11 +267,11 @@ def _compatible(a: Directed, b: Directed) -> Array:
         for place, turn in (a, b)
     )
     distance_a, distance_b = np.abs(to_a), np.abs(to_b)
-    longer = (distance_a - distance_b) / (
-        PAIRS_NEAR_MM + STRETCH * np.minimum(distance_a, distance_b)
-    )
+    # mm, and a fraction of the distance more, as skin stretches
+    longer = (distance_a - distance_b) / (0.3 + 0.08 * np.minimum(distance_a, distance_b))
     bearing = np.angle(to_a * np.conj(to_b))
-    misfit = longer**2 + (bearing**2 + _wrapped(turn_a - turn_b) ** 2) / TURN_RAD**2
+    # 0.3 rad
+    misfit = longer**2 + (bearing**2 + _wrapped(turn_a - turn_b) ** 2) / 0.3**2
     return np.asarray(np.exp(-0.5 * (misfit + misfit.T)))
 
 
@@ -276,12 +279,13 @@ def _aligned(a: Directed, b: Directed, weight: Array, support: float) -> Pairing
     """Least squares of places and directions."""
     weight = weight / weight.sum()
     centre_a, centre_b = weight @ a[0], weight @ b[0]
+    # the direction of a minutia counts as its place 3 mm from the centre does
     turned = weight @ (
-        (b[0] - centre_b) * np.conj(a[0] - centre_a) + ARM_MM**2 * np.exp(1j * (b[1] - a[1]))
+        (b[0] - centre_b) * np.conj(a[0] - centre_a) + 3.0**2 * np.exp(1j * (b[1] - a[1]))
     )
     angle = float(np.angle(turned))
     shift = centre_b - centre_a * np.exp(1j * angle)
-    return Pairing(angle, float(shift.real), float(shift.imag), support, a[0], b[0])
+    return Pairing(angle, complex(shift), support)
 
 
 def _wrapped(angle: Array) -> Array:

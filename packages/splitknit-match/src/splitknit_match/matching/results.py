@@ -11,13 +11,13 @@ from splitknit.findings import Finding, Severity
 from splitknit.io.provenance import known_json
 from splitknit_match.matching.template import VERSION
 
-_DIGITS = {"minutiae": 0, "fusion": 2}
+_DIGITS = {"minutiae": 2, "fusion": 2}
 _SCALES = {
     "ridge": "1 = the same picture",
     "fusion": "log-likelihood ratio of ridges and minutiae, natural logarithm",
     "thesis": "1 = equal, 0 = as dissimilar as possible",
     "thesis-code": "1 = the same images, negative even for two captures of one finger",
-    "minutiae": "bozorth3: about how many pairs of minutiae fit together",
+    "minutiae": "agreeing minutiae over the root of those that could agree",
 }
 """What the method's own score means."""
 
@@ -35,11 +35,6 @@ class ComparedSide:
     """False: a failure to acquire, which matches nobody."""
     minutiae: int | None = None
     """How many were compared, by methods of minutiae."""
-    nfiq2: int | None = None
-    """Quality of its print, 0 to 100, of the method ``minutiae``; None where NFIQ 2 sees no
-    print."""
-    enhanced: bool | None = None
-    """Whether its print was enhanced first."""
     quality: float | None = None
     """Of a photograph, 0 to 100: percent of the finger with clear ridges."""
 
@@ -124,7 +119,7 @@ class Match(Rated):
     def facts(self) -> dict[str, Any]:
         """The same as plain JSON."""
         kept = ("fmr", "fmr_missing", "fmr_basis", "decision", "undecided")
-        return dict(known_json(self, (*kept, "nfiq2") if self.method == "minutiae" else kept))
+        return dict(known_json(self, kept))
 
     def __str__(self) -> str:
         return text_of(match_lines(self))
@@ -292,9 +287,4 @@ def _how(match: Match) -> list[str]:
             f"{turned}, its middle {laid.right_mm:+.2f} mm right and {laid.up_mm:+.2f} mm up of B's"
         )
         return [line] if match.compared else []
-    lines = []
-    for side in (match.a, match.b):
-        quality = "unknown" if side.nfiq2 is None else f"{side.nfiq2} of 100"
-        of_print = "" if side.kind == "minutiae" else f", quality (NFIQ 2) {quality}"
-        lines.append(f"{side.path}: {side.minutiae} minutiae{of_print}")
-    return lines
+    return [f"{side.path}: {side.minutiae} minutiae" for side in (match.a, match.b)]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from splitknit.errors import require
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit_match.matching.coarse import CoarseViews, inverse, likely_alignments
 from splitknit_match.matching.elastic import (
+    STEP_MM,
     Affine,
     Agreement,
     PatchGrid,
@@ -26,18 +26,9 @@ from splitknit_match.matching.elastic import (
     patch_grid,
 )
 from splitknit_match.matching.minutia_pairs import Cylinders, Places, minutia_cylinders
-from splitknit_match.matching.parameters import (
-    CLOSE_SEARCH_MM,
-    CLOSE_STEP_MM,
-    FIRST_SEARCH_MM,
-    FIRST_STEP_MM,
-    MIN_OVERLAP_MM2,
-    MIN_PAIRED,
-    REFINEMENTS,
-    STEP_MM,
-)
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.matching.template import Template, pack
+from splitknit_match.threads import made_once
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +50,10 @@ class RidgeMatch:
     """False where one side is a failure to acquire."""
 
 
+_FIRST_STEP_MM = 2.4
+"""Step of the patches that refine the coarse alignment. Chosen on: real prints (FVC2002 DB1_B)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """A template with all that comparisons need and that does not depend on the other side, made
@@ -66,44 +61,53 @@ class Prepared:
 
     template: Template
 
-    @cached_property
+    @made_once
     def key(self) -> bytes:
         """By which sides are ordered, so that the result does not depend on the order of
         arguments."""
-        return hashlib.sha256(pack(replace(self.template, minutiae=None))).digest()
+        ridges = replace(self.template, minutiae=None, flat=None)
+        return hashlib.sha256(pack(ridges)[1:]).digest()  # whatever they are of
 
-    @cached_property
+    @made_once
+    def printed(self) -> Prepared:
+        """As prints are compared with it: a surface by its print."""
+        return self if self.template.flat is None else Prepared(self.template.flat)
+
+    @made_once
     def band(self) -> RidgeBand:
         """Its ridges with the steps of their levels smoothed away, zero outside."""
         smooth = gaussian_mean(self.template.value(), 0.6)
         value = np.where(self.template.valid, smooth, 0.0).astype(np.float32)
         return RidgeBand(value, self.template.valid, self.template.pitch_mm)
 
-    @cached_property
+    @made_once
     def views(self) -> CoarseViews:
         """The band on the coarse grid."""
         return CoarseViews(self.band)
 
-    @cached_property
+    @made_once
     def first(self) -> PatchGrid:
         """Patches for the refinement."""
-        return patch_grid(self.band, FIRST_STEP_MM, FIRST_SEARCH_MM)
+        # largest shift of the patches that refine the coarse alignment
+        return patch_grid(self.band, _FIRST_STEP_MM, 0.8)
 
-    @cached_property
+    @made_once
     def close(self) -> PatchGrid:
         """Patches that bend a small print."""
-        return patch_grid(self.band, CLOSE_STEP_MM, CLOSE_SEARCH_MM)
+        # step, and largest shift, of the patches that bend a small print
+        return patch_grid(self.band, 1.2, 0.4)
 
-    @cached_property
+    @made_once
     def patches(self) -> PatchGrid:
         """Patches for the score."""
         return patch_grid(self.band)
 
-    @cached_property
+    @made_once
     def cylinders(self) -> Cylinders | None:
         """Cylinders of its minutiae; None where there are too few."""
         minutiae = self.template.minutiae
-        if minutiae is None or minutiae.count < MIN_PAIRED:
+        # fewest minutiae of a small print that are compared; of other prints it is ten
+        if minutiae is None or minutiae.count < 3:
             return None
         return minutia_cylinders(minutiae, self.template.valid, self.template.pitch_mm)
 
@@ -123,7 +127,8 @@ def prepared(side: Template | Prepared) -> Prepared:
 
 
 def ridge_match(a: Template | Prepared, b: Template | Prepared) -> RidgeMatch:
-    """Compare two templates; prepare one that is compared more than once.
+    """Compare two templates, two surfaces or two prints; prepare one that is compared more than
+    once.
 
     The `similarity` is the mean, over the patches of the overlap, of the local correlation at the
     shift that the neighbouring patches support, times sqrt(min(1, overlap / limit)) with limit =
@@ -133,6 +138,8 @@ def ridge_match(a: Template | Prepared, b: Template | Prepared) -> RidgeMatch:
     Source: Bazen et al. 2000, A correlation-based fingerprint verification system (local patches).
     """
     left, right = prepared(a), prepared(b)
+    if left.template.kind != right.template.kind:
+        left, right = left.printed, right.printed
     if left.template.empty or right.template.empty:
         return RidgeMatch(-1.0)
     pitches = left.template.pitch_mm, right.template.pitch_mm
@@ -167,18 +174,27 @@ def lay(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
     return scored(a, b, compare_patches(b.patches, a.band, affine)), affine
 
 
+_REFINEMENTS = 2
+"""Affine fits to the patches' shifts. Chosen on: real prints (FVC2002 DB1_B)."""
+
+
 def refined(a: Prepared, b: Prepared, start: Affine, agreement: Agreement) -> Affine:
     """Affine map that follows the shifts of large patches."""
     affine = better_affine(b.first, agreement, start)
-    for _ in range(REFINEMENTS - 1):
+    for _ in range(_REFINEMENTS - 1):
         affine = better_affine(b.first, compare_patches(b.first, a.band, affine), affine)
     return affine
+
+
+_MIN_OVERLAP_MM2 = 60.0
+"""Where less skin overlaps, and it is not all that the smaller template has, the similarity is
+lowered."""
 
 
 def scored(a: Prepared, b: Prepared, agreement: Agreement) -> RidgeMatch:
     """Similarity by the patches of an alignment."""
     overlap_mm2 = float(agreement.weight.sum()) * STEP_MM**2
     smaller_mm2 = min(a.template.area_mm2, b.template.area_mm2)
-    limit_mm2 = max(min(MIN_OVERLAP_MM2, 0.5 * smaller_mm2), 1e-9)
+    limit_mm2 = max(min(_MIN_OVERLAP_MM2, 0.5 * smaller_mm2), 1e-9)
     similarity = agreement.mean * float(np.sqrt(min(1.0, overlap_mm2 / limit_mm2)))
     return RidgeMatch(similarity, agreement.mean, overlap_mm2, compared=True)

@@ -19,20 +19,7 @@ from splitknit.checks import check_mask
 from splitknit.errors import require
 from splitknit.imaging.geometry import gaussian_mean, height_gradients, sampled_at
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_match.matching.parameters import (
-    COARSEST_MM,
-    COHERENCE,
-    FINEST_MM,
-    FLOOR,
-    LARGEST_PX,
-    LONGEST_MM,
-    NOISE_MM,
-    PITCH_MM,
-    RIDGE_MM,
-    SLANT_DEG,
-    WINDOW_MM,
-)
-from splitknit_match.prints.parameters import LARGEST_MM2
+from splitknit_match.prints.minutiae_record import LARGEST_MM2
 
 AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4
@@ -53,6 +40,20 @@ class RidgeBand:
     def area_mm2(self) -> float:
         """Skin with ridges."""
         return float(self.valid.sum()) * self.pitch_mm**2
+
+
+_FINEST_MM = 1e-3  # finer pixels are not a finger's, and need windows that fill the memory
+_COARSEST_MM = 10.0  # coarser pixels are not a finger's
+_LONGEST_MM = 500.0  # longer surfaces are not a finger's, and need grids that fill the memory
+PITCH_MM = 0.1  # side of a pixel of the band
+_RIDGE_MM = 0.32
+"""Sigma of the Gaussian mean that is subtracted, to remove what is wider than a ridge."""
+_WINDOW_MM = 0.6
+"""Sigma of the window over which contrast is made even and ridges are tested for one direction."""
+_FLOOR = 0.3
+"""Contrast below this fraction of the finger's median is not raised further; half of it is not a
+ridge at all."""
+_SLANT_DEG = 60.0  # skin seen at a steeper slant is left out
 
 
 def ridge_band(  # noqa: PLR0917 - as the guide calls it
@@ -79,8 +80,8 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     compatibility with legacy rolled images (unrolling by arc length).
     """
     require(
-        FINEST_MM <= pitch_mm <= COARSEST_MM,
-        f"pitch_mm must be a number from {FINEST_MM:g} to {COARSEST_MM:g}, but it is {pitch_mm}.",
+        _FINEST_MM <= pitch_mm <= _COARSEST_MM,
+        f"pitch_mm must be a number from {_FINEST_MM:g} to {_COARSEST_MM:g}, but it is {pitch_mm}.",
     )
     require(
         ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}."
@@ -94,17 +95,18 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
             )
             mask = mask & np.isfinite(field)
             require(mask.any(), f"{name} is NaN all over the mask.")
-            deep = bool((np.abs(field[mask]) > LONGEST_MM).any())
+            deep = bool((np.abs(field[mask]) > _LONGEST_MM).any())
             require(
                 not deep,
-                f"{name} holds heights beyond {LONGEST_MM:g} mm, which are not a finger's.",
+                f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.",
             )
     transform = np.eye(3) if input_from_upright is None else input_from_upright
     size = upright_size or (mask.shape[0], mask.shape[1])
     area_mm2 = float(mask.sum()) * pitch_mm**2
+    # largest ridge band with its margins, 200 x 200 mm; it takes 100 bytes a pixel
     require(
-        max(size) * pitch_mm <= LONGEST_MM
-        and size[0] * size[1] * (pitch_mm / band_mm) ** 2 <= LARGEST_PX
+        max(size) * pitch_mm <= _LONGEST_MM
+        and size[0] * size[1] * (pitch_mm / band_mm) ** 2 <= 4_000_000
         and area_mm2 <= LARGEST_MM2,
         f"the surface is {max(size) * pitch_mm:.0f} mm long and shows {area_mm2:.0f} mm², more"
         f" than a finger's {LARGEST_MM2:.0f}; check its pitch ({pitch_mm:g} mm).",
@@ -113,17 +115,17 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         mask, shape_mm, transform, size, pitch_mm=pitch_mm, band_mm=band_mm
     )
     # low-pass, then sample
-    sigma = NOISE_MM / pitch_mm
+    sigma = 0.05 / pitch_mm  # sigma of the low-pass before sampling
     weight = gaussian_mean(mask.astype(np.float32), sigma)
     smooth = gaussian_mean(np.where(mask, ridge_mm, 0.0).astype(np.float32), sigma) / np.maximum(
         weight, 1e-3
     )
     value = sampled_at(smooth, columns, rows, outside=0.0)
     inside = sampled_at(weight, columns, rows, outside=0.0) > 0.5
-    inside &= slant_cos >= np.cos(np.deg2rad(SLANT_DEG))
+    inside &= slant_cos >= np.cos(np.deg2rad(_SLANT_DEG))
     # ridges of even contrast; what is wider is taken out
     weight = inside.astype(np.float32)
-    narrow, window = RIDGE_MM / band_mm, WINDOW_MM / band_mm
+    narrow, window = _RIDGE_MM / band_mm, _WINDOW_MM / band_mm
     total = np.maximum(gaussian_mean(weight, narrow), 1e-3)
     ridges: AnyArray = np.where(inside, value, 0.0).astype(np.float32)
     for _ in range(2):  # twice: the first pass leaves something of a slope beside the edge
@@ -133,7 +135,7 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     typical = float(np.median(spread[inside])) if inside.any() else 0.0
     if typical <= 0.0:
         return RidgeBand(np.zeros_like(ridges), np.zeros_like(inside), band_mm)
-    flat = ridges / np.maximum(spread, FLOOR * typical)
+    flat = ridges / np.maximum(spread, _FLOOR * typical)
     # coherence of the structure tensor. Source: Bigun and Granlund 1987, Optimal orientation
     # detection
     across, down = cv2.Sobel(flat, cv2.CV_32F, 1, 0), cv2.Sobel(flat, cv2.CV_32F, 0, 1)
@@ -142,7 +144,8 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     )
     total = xx + yy
     coherence = np.hypot(xx - yy, 2 * xy) / np.maximum(total, 1e-6 * max(float(total.max()), 1e-30))
-    valid = inside & (spread > 0.5 * FLOOR * typical) & (coherence >= COHERENCE)
+    # skin whose ridges have less coherence (0 no direction, 1 parallel) is left out
+    valid = inside & (spread > 0.5 * _FLOOR * typical) & (coherence >= 0.2)
     # specks and threads of valid skin at the edge are not used
     element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     valid = cv2.morphologyEx(valid.view(np.uint8), cv2.MORPH_OPEN, element) > 0
@@ -166,8 +169,8 @@ def print_band(
     require(np.isfinite(ppi) and ppi > 0, f"ppi must be a positive number, but it is {ppi}.")
     pitch = MM_PER_INCH / ppi
     ink = np.ascontiguousarray(255.0 - image[:, ::-1].astype(np.float32))
-    detail = ink - gaussian_mean(ink, RIDGE_MM / pitch)
-    spread = np.sqrt(gaussian_mean(detail * detail, 0.5 * WINDOW_MM / pitch))
+    detail = ink - gaussian_mean(ink, _RIDGE_MM / pitch)
+    spread = np.sqrt(gaussian_mean(detail * detail, 0.5 * _WINDOW_MM / pitch))
     finger = spread > 0.3 * float(np.quantile(spread, 0.9))
     if inside is not None:
         finger &= inside[:, ::-1]
@@ -207,7 +210,7 @@ def band_places(
     sigma = 0.6 / (pitch_mm * factor)
     fraction = inside.astype(np.float32)
     total = np.maximum(gaussian_mean(fraction, sigma), 1e-3)
-    limit = np.float32(np.tan(np.deg2rad(SLANT_DEG)))
+    limit = np.float32(np.tan(np.deg2rad(_SLANT_DEG)))
     x, y = _to_input(flat, row, transform)
     place = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
     known = sampled_at(fraction, *place, outside=0.0) > 0.5

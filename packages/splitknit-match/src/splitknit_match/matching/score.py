@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from splitknit.errors import refusing, require
 from splitknit.io.fields import read_json
 from splitknit.model import Array
-from splitknit_match.matching.parameters import ENTRIES, FMR_ROUNDING, TAIL
 from splitknit_match.matching.results import FmrBasis
 
 
@@ -28,6 +27,12 @@ def dissimilarity(ratio: float, distances: ArrayLike) -> float:
     """
     total = float(np.sum(np.asarray(distances, dtype=float)))
     return math.exp(-(ratio**4) / total) if total > 0 else 0.0
+
+
+TAIL = 50  # impostors by which rates are extrapolated, in impostors
+FMR_ROUNDING = 1e-5
+"""Similarities are lowered by this before a rate is looked up, so that none comes out too low by
+rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,12 +60,6 @@ class FmrTable:
         return float(self.fmr.min())
 
     @property
-    def rounding(self) -> float:
-        """By this much similarities are rounded so that no rate comes out too low; bozorth3's are
-        whole numbers."""
-        return 0.0 if self.method.startswith("minutiae") else FMR_ROUNDING
-
-    @property
     def basis(self) -> FmrBasis:
         """What the rates were measured on."""
         return FmrBasis(self.impostors, self.population, self.smallest)
@@ -80,11 +79,7 @@ class FmrTable:
         )
         measured = float(self.similarity[np.argmax(self.fmr <= fmr)])
         exact = measured if fmr >= self.smallest else self.beyond(fmr)[0]
-        return (
-            (math.ceil(exact / self.rounding) + 1) * self.rounding
-            if self.rounding
-            else math.ceil(exact)
-        )
+        return (math.ceil(exact / FMR_ROUNDING) + 1) * FMR_ROUNDING
 
     def beyond(self, fmr: float) -> tuple[float, float]:
         """Similarity at which a smaller rate than was measured is reached, and the rate that is to
@@ -129,7 +124,8 @@ def calibrate_scores(impostor: ArrayLike) -> FmrTable:
     )
     require(np.isfinite(scores).all(), "impostor scores contain NaN or infinite values.")
     # thresholds whose rates are evenly spaced in their logarithm, and just above the largest score
-    above = np.unique(np.round(np.geomspace(1, scores.size, ENTRIES)).astype(np.int64))[::-1]
+    # entries of a table of false match rates, at most
+    above = np.unique(np.round(np.geomspace(1, scores.size, 64)).astype(np.int64))[::-1]
     thresholds = np.concatenate([scores[scores.size - above], [np.nextafter(scores[-1], np.inf)]])
     thresholds = np.unique(thresholds)
     # between two entries the lower one's (larger) rate holds

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.model import Surface
+from splitknit.reconstruction import Surface
 from splitknit_match.matching.ridge_band import ridge_band
 from splitknit_match.matching.template import Template, make_template
 from splitknit_match.matching.thesis import FingerImages, ThesisSettings, finger_images
@@ -19,7 +19,7 @@ class MatchingSettings:
 
 
 def surface_template(surface: Surface) -> Template:
-    """Template of a reconstruction."""
+    """Template of a reconstruction, without its print."""
     band = ridge_band(
         surface.ridge_mm,
         surface.mask,
@@ -28,7 +28,7 @@ def surface_template(surface: Surface) -> Template:
         surface.input_from_upright,
         upright_size=surface.upright_size,
     )
-    return make_template(band)
+    return replace(make_template(band), kind="surface")
 
 
 def surface_images(surface: Surface) -> FingerImages:

@@ -1,11 +1,13 @@
 """The compact template of one finger: the ridge band in four levels, and where it is valid.
 
-A template is what a gallery keeps. Its payload, little-endian: rows and columns (uint16 each),
+A template is what a gallery keeps. Its payload, little-endian: what it is made of (a byte, its
+place in :data:`splitknit_match.records.minutiae_record.KINDS`); rows and columns (uint16 each),
 number of runs (uint32), pitch in micrometres (uint16); the lengths of alternating runs of missing
 and valid pixels in row order (uint16 each, or 65535 and a uint32 for longer ones); two bits for
-each valid pixel, the first pixel in the lowest bits; and of a print, where they were found, its
-minutiae (:func:`splitknit_match.prints.minutiae_record.pack_minutiae`, with a version of their
-own). A finger that could not be acquired is a payload of zero bytes.
+each valid pixel, the first pixel in the lowest bits; of a surface, the payload of its print; and of
+a print, where they were found, its minutiae
+(:func:`splitknit_match.prints.minutiae_record.pack_minutiae`, with a version of their own). A
+finger that could not be acquired is a payload of zero bytes.
 """
 
 from __future__ import annotations
@@ -20,9 +22,10 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.parameters import FINEST_UM, LARGEST_SIDE, LEAST_MM2
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.prints.minutiae_record import (
+    KINDS,
+    LARGEST_MM2,
     PPI,
     Minutiae,
     holds_minutiae,
@@ -30,11 +33,10 @@ from splitknit_match.prints.minutiae_record import (
     pack_minutiae,
     unpack_minutiae,
 )
-from splitknit_match.prints.parameters import LARGEST_MM2
 
-VERSION = 1
+VERSION = 2
 """Version of the payload; a reader refuses others. Source: definition of the payload."""
-_HEAD = struct.Struct("<HHIH")
+_HEAD = struct.Struct("<BHHIH")
 _THRESHOLD = 0.98
 """Between a ridge and a high one, in standard deviations. Source: best quantiser of a normal
 distribution with four levels (J. Max, 1960)."""
@@ -47,6 +49,8 @@ _LONG = 65535
 """Announces a longer run. Source: definition of the payload."""
 _NO_MINUTIAE = b"SKMI"
 """In place of the minutiae of a print that has none."""
+_CONTACTLESS = bytes([KINDS.index("contactless")])
+"""First byte of a surface's print."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +64,10 @@ class Template:
     pitch_mm: float
     minutiae: Minutiae | None = field(default=None, repr=False)
     """Minutiae of a print; None where none were sought or found."""
+    kind: str = "print"
+    """What it is made of, one of :data:`KINDS`."""
+    flat: Template | None = field(default=None, repr=False)
+    """Print of a surface, which is compared with all but surfaces; None where none was made."""
     lacks: str = ""
     """Why nothing could be acquired, where it is known; not kept."""
 
@@ -73,9 +81,17 @@ class Template:
         """Skin in the template."""
         return float(self.valid.sum()) * self.pitch_mm**2
 
+    @property
+    def printed(self) -> Template:
+        """As prints are compared with it: a surface by its print."""
+        return self.flat or self
+
     def value(self) -> FloatArray:
         """(H, W) ridge band of about unit variance, zero where not valid."""
         return np.where(self.valid, np.asarray(_LEVELS, dtype=np.float32)[self.level], 0.0)
+
+
+LEAST_MM2 = 30.0  # smallest area of ridges; less is a failure to acquire
 
 
 def make_template(band: RidgeBand, least_mm2: float = LEAST_MM2) -> Template:
@@ -102,11 +118,15 @@ def make_template(band: RidgeBand, least_mm2: float = LEAST_MM2) -> Template:
     return leveled(band.value[box], valid, band.pitch_mm)
 
 
+_FINEST_UM = 50
+"""Finer pixels count as if they were so large: work grows with their number. Chosen on: speed."""
+
+
 def _is_a_fingers(shape: tuple[int, ...], pitch_um: int) -> bool:
     """Whether a template of some rows and columns is no larger than one finger's."""
     rows, columns = shape
-    area_mm2 = rows * columns * max(pitch_um, FINEST_UM) ** 2 / 1e6
-    return max(shape) <= LARGEST_SIDE and 0 < area_mm2 <= LARGEST_MM2
+    area_mm2 = rows * columns * max(pitch_um, _FINEST_UM) ** 2 / 1e6
+    return max(shape) <= 2048 and 0 < area_mm2 <= LARGEST_MM2  # rows or columns at most, in px
 
 
 def leveled(value: FloatArray, valid: BoolArray, pitch_mm: float) -> Template:
@@ -122,7 +142,7 @@ def scaled(template: Template, scale: float) -> Template:
     rows, columns = (max(1, round(side * scale)) for side in template.valid.shape)
     value = np.asarray(cv2.resize(template.value(), (columns, rows)), dtype=np.float32)
     valid = np.asarray(cv2.resize(template.valid.astype(np.float32), (columns, rows)) > 0.5)
-    larger = leveled(value, valid, template.pitch_mm)
+    larger = replace(leveled(value, valid, template.pitch_mm), kind=template.kind)
     minutiae = template.minutiae
     if minutiae is None:
         return larger
@@ -148,7 +168,14 @@ def mirrored(template: Template) -> Template:
         )
     level = np.ascontiguousarray(template.level[:, ::-1])
     valid = np.ascontiguousarray(template.valid[:, ::-1])
-    return replace(template, level=level, valid=valid, minutiae=minutiae)
+    flat = template.flat and mirrored(template.flat)
+    return replace(template, level=level, valid=valid, minutiae=minutiae, flat=flat)
+
+
+def inverted(template: Template) -> Template:
+    """The template of the same picture's negative: ridges and valleys change places, and minutiae
+    stay where they are."""
+    return replace(template, level=np.where(template.valid, 3 - template.level, 0).astype(np.uint8))
 
 
 def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> Template:
@@ -189,10 +216,11 @@ def pack(template: Template) -> bytes:
     """Payload of a template; no bytes for a failure to acquire."""
     if template.empty:
         return b""
-    flat = template.valid.ravel()
-    edges = np.flatnonzero(np.diff(flat, prepend=False))
-    runs = np.diff(edges, prepend=0, append=flat.size)
-    head = _HEAD.pack(*template.valid.shape, len(runs), round(1000 * template.pitch_mm))
+    inside = template.valid.ravel()
+    edges = np.flatnonzero(np.diff(inside, prepend=False))
+    runs = np.diff(edges, prepend=0, append=inside.size)
+    kind = KINDS.index(template.kind)
+    head = _HEAD.pack(kind, *template.valid.shape, len(runs), round(1000 * template.pitch_mm))
     if runs.max() < _LONG:
         lengths = runs.astype("<u2").tobytes()
     else:
@@ -200,13 +228,14 @@ def pack(template: Template) -> bytes:
             struct.pack("<H", n) if n < _LONG else struct.pack("<HI", _LONG, n)
             for n in runs.tolist()
         )
-    level = template.level.ravel()[flat]
+    level = template.level.ravel()[inside]
     quads = np.pad(level, (0, -len(level) % 4)).reshape(-1, 4)
     packed: NDArray[np.uint8] = (quads << _SHIFTS).sum(axis=1, dtype=np.uint8)
     minutiae = (
         b"" if template.minutiae is None else pack_minutiae(template.minutiae) or _NO_MINUTIAE
     )
-    return head + lengths + packed.tobytes() + minutiae
+    flat = b"" if template.flat is None else pack(template.flat)
+    return head + lengths + packed.tobytes() + flat + minutiae
 
 
 def unpack(payload: bytes) -> Template:
@@ -219,8 +248,8 @@ def unpack(payload: bytes) -> Template:
     )
     wrong = "the template's content contradicts itself; enroll the finger again."
     require(len(payload) >= _HEAD.size, wrong)
-    height, width, count, pitch_um = _HEAD.unpack_from(payload)
-    require(height > 0 and width > 0 and pitch_um > 0, wrong)
+    number, height, width, count, pitch_um = _HEAD.unpack_from(payload)
+    require(height > 0 and width > 0 and pitch_um > 0 and number < len(KINDS), wrong)
     require(0 < count <= height * width + 1 and len(payload) >= _HEAD.size + 2 * count, wrong)
     short = np.frombuffer(payload, "<u2", count, _HEAD.size).tolist()
     runs, position = ([], _HEAD.size) if _LONG in short else (short, _HEAD.size + 2 * count)
@@ -239,19 +268,25 @@ def unpack(payload: bytes) -> Template:
         f"the template shows {height * width * pitch_um**2 / 1e6:.0f} mm² in {height} x {width}"
         f" pixels, more than a finger's {LARGEST_MM2:.0f} mm²; enroll one finger.",
     )
-    flat = np.repeat(np.arange(count) % 2 == 1, runs)
-    known = int(flat.sum())
+    inside = np.repeat(np.arange(count) % 2 == 1, runs)
+    known = int(inside.sum())
     end = position + (known + 3) // 4
     require(known > 0 and len(payload) >= end, wrong)
     rest = payload[end:]
-    require(rest[:4] in (b"", _NO_MINUTIAE), wrong)
-    minutiae = no_minutiae() if rest == _NO_MINUTIAE else unpack_minutiae(rest) if rest else None
+    flat, minutiae = None, None
+    if KINDS[number] == "surface":
+        require(rest[:1] in (b"", _CONTACTLESS), wrong)
+        flat = unpack(rest) if rest else replace(failed_template(), minutiae=no_minutiae())
+    elif rest:
+        require(rest[:4] == _NO_MINUTIAE, wrong)
+        minutiae = no_minutiae() if rest == _NO_MINUTIAE else unpack_minutiae(rest)
     packed = np.frombuffer(payload[:end], dtype=np.uint8, offset=position)
     level = np.zeros(height * width, dtype=np.uint8)
-    level[flat] = (packed[:, None] >> _SHIFTS & 3).ravel()[:known]
+    level[inside] = (packed[:, None] >> _SHIFTS & 3).ravel()[:known]
     shape = height, width
-    template = Template(level.reshape(shape), flat.reshape(shape), pitch_um / 1000, minutiae)
-    # an earlier version's grid
-    if minutiae and minutiae.count and minutiae.size != print_size(template):
-        return replace(template, minutiae=None)
+    template = Template(
+        level.reshape(shape), inside.reshape(shape), pitch_um / 1000, minutiae, KINDS[number], flat
+    )
+    known_grid = not (minutiae and minutiae.count) or minutiae.size == print_size(template)
+    require(known_grid, wrong)
     return template

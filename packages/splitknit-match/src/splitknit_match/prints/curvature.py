@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from splitknit.checks import check_mask
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_match.prints.parameters import MIN_FRACTION
 
 REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis gives the window. Source: thesis."""
@@ -80,7 +79,8 @@ def curvature(
     powers = _POWERS[degree]
     taps = [offset**k for k in range(2 * degree + 1)]
     covered = windowed(weight, taps[0], taps[0])
-    known = inside & (covered >= MIN_FRACTION * side * side)
+    # fraction of the window that must lie on the finger; elsewhere the curvature is unknown
+    known = inside & (covered >= 0.75 * side * side)
     edge = np.nonzero(known & (covered < side * side - 0.5))
     total = np.sum(taps, axis=1)
     interior = np.linalg.inv([[total[i + k] * total[j + m] for k, m in powers] for i, j in powers])
@@ -103,10 +103,7 @@ def curvature(
         solved = np.linalg.solve(normal, right[..., None])[..., 0]
         results = []
         for term, factor in enumerate(factors):
-            total = np.zeros(values.shape, dtype=np.float32)
-            for part, share in zip(sums, interior[term], strict=True):
-                if abs(share) > 1e-12:
-                    total += np.float32(share) * part
+            total = np.tensordot(interior[term].astype(np.float32), sums, 1)
             total[edge] = solved[:, term]
             results.append(total * np.float32(factor))
         return results

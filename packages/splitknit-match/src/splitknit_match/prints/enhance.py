@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray, GreyArray
-from splitknit_match.prints.parameters import CONTRAST, ENHANCED_FLOOR, GABOR_SIGMA_PERIODS
 from splitknit_match.prints.ridge_field import NO_RIDGES, RidgeField, overlap_added, ridge_field
 
 
@@ -47,11 +46,13 @@ def gabor_enhance(
     A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation, section 2.6.
     """
     field = ridge_field(image, ppi, inside)
-    coefficients = node_amplitudes(image, field, GABOR_SIGMA_PERIODS)
+    # filters of half a ridge period
+    coefficients = node_amplitudes(image, field, 0.5)
     around = cv2.GaussianBlur(np.abs(coefficients), (0, 0), 2.5)
     typical = float(np.median(around[field.mask]))
     require(typical > 0.05, NO_RIDGES)
-    floor = ENHANCED_FLOOR * typical
+    # ridges weaker than this fraction of the print's median are not raised further
+    floor = 0.15 * typical
     coefficients = (coefficients / np.maximum(around, floor)).astype(np.complex64)
     field = replace(field, mask=field.mask & (around > floor))
     require(field.mask.any(), NO_RIDGES)
@@ -65,7 +66,8 @@ def gabor_enhance(
     if inside is not None:
         soft = soft * cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 1.0)
     mask = soft > 0.5
-    grey = 0.5 - 0.5 * np.tanh(CONTRAST * wave)  # dark = 1 on ridges
+    # steepness of the grey curve: 0.5 is soft, 3 nearly black and white
+    grey = 0.5 - 0.5 * np.tanh(2.0 * wave)  # dark = 1 on ridges
     printed = np.round(255.0 * (1.0 - grey * np.clip(4.0 * soft - 1.5, 0.0, 1.0))).astype(np.uint8)
     return Enhanced(printed, np.where(mask, wave, 0.0).astype(np.float32), mask, field)
 
@@ -103,32 +105,27 @@ def node_amplitudes(
     )
     windows = sliding_window_view(padded, (size, size))[::step, ::step]
     kx, ky = (part[field.mask] for part in _wave_vectors(field))
-    rows, columns = np.nonzero(field.mask)
+    cells = np.nonzero(field.mask)
     result = np.zeros((n, m), dtype=np.complex64)
 
     def work(part: slice) -> None:
-        patch = windows[rows[part], columns[part]]
+        patch = windows[cells[0][part], cells[1][part]]
         envelope = np.exp(-0.5 * (offset / sigma[part, None]) ** 2)
-        across = kx[part, None] * offset
-        down = ky[part, None] * offset
-        # real arithmetic twice is faster than complex: patch (N, s, s) times (N, s, 2), then times
-        # (N, s)
-        wave = np.stack([envelope * np.cos(across), -envelope * np.sin(across)], axis=2)
-        plain = envelope / envelope.sum(axis=1, keepdims=True)
-        # takes out the local mean
-        mean = np.einsum("nis,ni->ns", np.matmul(patch, plain[..., None]), plain)
-        along = np.matmul(patch, wave) - mean[:, None] * wave.sum(axis=1)[:, None]
-        cos = envelope * np.cos(down)
-        sin = -envelope * np.sin(down)
-        real = np.einsum("ni,ni->n", along[..., 0], cos) - np.einsum("ni,ni->n", along[..., 1], sin)
-        imaginary = np.einsum("ni,ni->n", along[..., 0], sin) + np.einsum(
-            "ni,ni->n", along[..., 1], cos
+        across, down = (
+            (envelope * np.exp(-1j * k[part, None] * offset)).astype(np.complex64) for k in (kx, ky)
         )
-        norm = 2.0 / envelope.sum(axis=1) ** 2
-        result[rows[part], columns[part]] = (real + 1j * imaginary) * norm
+        plain = envelope / envelope.sum(axis=1, keepdims=True)
+        # patch (N, s, s) times real columns (N, s, 3): faster than complex ones
+        columns = np.stack([across.real, across.imag, plain], axis=2)
+        real, imaginary, mean = np.moveaxis(patch @ columns, 2, 0)
+        mean = (mean * plain).sum(axis=1, keepdims=True)  # is taken out
+        along = real + 1j * imaginary - mean * across.sum(axis=1, keepdims=True)
+        result[cells[0][part], cells[1][part]] = (
+            2.0 * (along * down).sum(axis=1) / envelope.sum(axis=1) ** 2
+        )
 
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(work, (slice(k, k + 1024) for k in range(0, rows.size, 1024))))
+        list(pool.map(work, (slice(k, k + 1024) for k in range(0, cells[0].size, 1024))))
     return result
 
 

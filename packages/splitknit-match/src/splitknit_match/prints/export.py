@@ -25,7 +25,6 @@ from splitknit.io.fields import read_json, text_of
 from splitknit.io.light_list import write_light_list
 from splitknit.io.prints import PrintFile, provenance_texts
 from splitknit.io.provenance import file_hash, json_text, provenance
-from splitknit.io.surface_files import map_files, surface_bytes
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
 from splitknit_match.prints.from_file import (
@@ -47,6 +46,7 @@ from splitknit_match.records.minutiae_record import (
     FingerView,
 )
 from splitknit_match.records.print_formats import FORMATS, WSQ_PPI, PrintFormat, Writing
+from splitknit_match.records.surface_files import map_files, surface_bytes
 
 FACTS_FILE = "export.json"
 _KEPT_PPI = (500, 1000)
@@ -84,6 +84,7 @@ def export_records(
     owner: int = VENDOR_UNKNOWN,
     minutiae: str = "phase",
     resolution_ppi: float | None = None,
+    ridges: str | None = None,
     preset: str = "metric",
     progress: Progress = no_progress,
 ) -> Facts:
@@ -110,11 +111,12 @@ def export_records(
         "owner": owner,
         "minutiae": minutiae,
         "resolution_ppi": resolution_ppi,
+        "ridges": ridges,
         "preset": preset,
     }
 
     def files(source: Path, hashes: dict[str, str]) -> Iterator[File]:
-        for item in _fingers(source, hashes, resolution_ppi, preset):
+        for item in _fingers(source, hashes, resolution_ppi, ridges, preset):
             stated = item.view or item.picture
             assert stated is not None
             own = stated.impression
@@ -223,7 +225,11 @@ def _exported(
 
 
 def _fingers(
-    source: Path, hashes: dict[str, str], resolution_ppi: float | None, preset: str
+    source: Path,
+    hashes: dict[str, str],
+    resolution_ppi: float | None,
+    ridges: str | None,
+    preset: str,
 ) -> Iterator[_Finger]:
     require(
         os.path.exists(source),  # noqa: PTH110
@@ -237,7 +243,7 @@ def _fingers(
         yield _of_surface(source, name, preset, hashes)
     else:
         hashes[source.name] = file_hash(source)
-        prints = read_print_file(source, resolution_ppi)
+        prints = read_print_file(source, resolution_ppi, ridges)
         for number, item in enumerate(prints, start=1):
             numbered = name if len(prints) == 1 else f"{name}-{number}"
             if isinstance(item, PrintFile):
@@ -283,10 +289,11 @@ def _lights(source: Path, hashes: dict[str, str]) -> tuple[Callable[[Path], obje
     band = capture.bands.get("white")
     bands = read_json(source / "capture.json", f"{source}: capture.json is damaged.")[0]["bands"]
     photographs = bands.get("white", {}).get("images", ())
-    if band is None or len(photographs) != len(band.lights):
+    lights = () if band is None else capture.rig.lights_of(band.leds)
+    if len(photographs) != len(lights):
         raise BadInput(f"'{source}' has no band 'white' with one photograph for each light.")
     hashes.update(capture.hashes)
-    vectors = capture.rig.select(band.lights).light_vectors().tolist()
+    vectors = capture.rig.select(lights).light_vectors().tolist()
     leds = [Led("white", direction=(x, y, z)) for x, y, z in vectors]
     facts = {"kind": "capture", "lights": len(leds)}
     return lambda file: write_light_list(leds, file, photographs), facts
@@ -339,9 +346,9 @@ def _encoded(
         }
         return form.encode(view, writing), facts
     if picture is None:
-        cure = "write iso-19794-2 or ansi-378"
         raise BadInput(
-            f"it holds minutiae and no picture, but {form.words} is for pictures; {cure}."
+            f"it holds minutiae and no picture, but {form.words} is for pictures; write iso-19794-2"
+            " or ansi-378."
         )
     picture = _fitting(picture, form)
     facts = {"size": list(picture.image.shape), "ppi": round(picture.resolution_ppi or 0.0, 2)}

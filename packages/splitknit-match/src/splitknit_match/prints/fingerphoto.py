@@ -15,11 +15,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.checks import check_mask
 from splitknit.errors import naming, require
+from splitknit.files import read_bytes
 from splitknit.findings import Finding
 from splitknit.finger.mask import check_borders
 from splitknit.finger.orientation import Upright, find_upright
@@ -28,28 +30,14 @@ from splitknit.finger.regions import largest_component, reduce_image
 from splitknit.finger.ridge_period import PEOPLE
 from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import bounding_box
-from splitknit.io.photos import SUFFIXES, Photo, read_photo
+from splitknit.io.images import MAX_BYTES, read_header
+from splitknit.io.photos import SUFFIXES, Photo, decode_photo, read_photo
 from splitknit.io.prints import is_coloured
 from splitknit.model import BoolArray, FloatArray, GreyArray, PixelArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit_match.prints.enhance import node_amplitudes
+from splitknit_match.prints.from_file import USUAL_PERIOD_MM
 from splitknit_match.prints.minutiae_record import PPI
-from splitknit_match.prints.parameters import (
-    GOOD,
-    KEPT_WIDTH_PX,
-    MIN_QUALITY,
-    MIN_WIDTH_PX,
-    NEARER,
-    PAD,
-    PHOTO_CLEAR,
-    PHOTO_FAINT_WAVE,
-    PHOTO_LENGTH,
-    PHOTO_SLANT_DEG,
-    RIM_PX,
-    SHADING_PX,
-    THICKNESS,
-    USUAL_PERIOD_MM,
-)
 from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
@@ -79,7 +67,12 @@ def fingerphoto(path: str | os.PathLike[str]) -> Photo | None:
     if suffix not in SUFFIXES or not Path(path).is_file():
         return None
     try:
-        photo = read_photo(path)
+        data = read_bytes(path, MAX_BYTES)
+        # grey pictures are prints, and need not be decoded; HEIC has another suffix than it should
+        heic = data[4:8] == b"ftyp"
+        if suffix in PRINTS and not heic and read_header(data, os.fspath(path)).channels == 1:
+            return None
+        photo = decode_photo(data, os.fspath(path))
     except BadInput:
         if suffix in PRINTS:
             return None
@@ -122,9 +115,26 @@ def read_fingerphoto(
     photo = photo or read_photo(path)
     where = where or PhotoFinger()
     finger = naming(
-        path, lambda: finger_of_photo(photo.pixels, px_per_mm, where.pixels(), where.corners())
+        path,
+        lambda: finger_of_photo(
+            photo.pixels, px_per_mm, where.pixels(photo.pixels.shape[:2]), where.corners()
+        ),
     )
     return replace(finger, hashes={Path(path).name: photo.sha256})
+
+
+_MIN_WIDTH_PX = 130  # smallest width of a finger in a photograph
+_KEPT_WIDTH_PX = 700
+"""Largest width of a finger in the picture that is kept; a larger picture is reduced. Chosen on:
+speed."""
+MIN_QUALITY = 10
+"""Least quality of a photograph; without ridges in view it is 0 to 22, in %. Chosen on: simulated
+fingers (drawn telephone photographs, validation/match/telephone.py)."""
+_PHOTO_FAINT_WAVE = 0.003
+"""Least height of a ridge's wave over the light around it: steps of 8 bits look like half as
+much."""
+_NEARER = 1.04
+"""Scale of the pad over that of the outline, 7 mm behind it, for a camera about 18 cm away."""
 
 
 def finger_of_photo(
@@ -147,29 +157,29 @@ def finger_of_photo(
         px_per_mm is None or px_per_mm > 0, f"`px_per_mm` must be positive, but it is {px_per_mm}."
     )
     require(
-        min(pixels.shape[:2]) >= MIN_WIDTH_PX,
+        min(pixels.shape[:2]) >= _MIN_WIDTH_PX,
         "the photograph is too small to show the ridges of a finger.",
     )
     mask, direction_deg, width, note = _segmented(pixels, mask, box)
     require(
-        width >= MIN_WIDTH_PX,
+        width >= _MIN_WIDTH_PX,
         f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer.",
     )
     # the finger alone, reduced, turned upright, and cut at the first crease
-    reduction = min(1.0, KEPT_WIDTH_PX / width)
+    reduction = min(1.0, _KEPT_WIDTH_PX / width)
     part = bounding_box(mask, round(0.1 * width))
     light = reduce_image(pixels[(*part, 1)].astype(np.float32), reduction)
     inside = reduce_image(mask[part].astype(np.float32), reduction) > 0.5
     upright = find_upright(inside, direction_deg)
     row, column = (np.arange(side, dtype=np.float32) for side in inside.shape)
     across, along, offset = upright.upright_from_input[1]
+    # kept: about to the first crease
     inside &= (
-        across * column + (along * row + offset)[:, None]
-        < upright.tip_row + PHOTO_LENGTH * upright.width_px
+        across * column + (along * row + offset)[:, None] < upright.tip_row + 1.5 * upright.width_px
     )
 
     # its print at the usual width, and how much of it shows ridges
-    by_width = NEARER * upright.width_px / USUAL_WIDTH_MM
+    by_width = _NEARER * upright.width_px / USUAL_WIDTH_MM
     unrolled = _unrolled(inside, upright, by_width * 25.4 / PPI)
     values, weight = resample(light, inside, 1.0 / by_width, unrolled)
     image, finger_px = _even(values, weight)
@@ -178,9 +188,9 @@ def finger_of_photo(
         *((ridges.image, PPI, ridges.inside) if ridges.inside.any() else (image, PPI, finger_px))
     )
     amplitude = np.abs(node_amplitudes(values, field, 0.75))
-    clear = field.mask & _at_nodes(ridges.confidence > PHOTO_CLEAR, field)
-    clear &= amplitude > PHOTO_FAINT_WAVE * _at_nodes(values, field)
-    finger = _at_nodes(weight > 0.5, field)
+    clear = field.mask & (field.at_nodes(ridges.confidence) > 0.4)
+    clear &= amplitude > _PHOTO_FAINT_WAVE * field.at_nodes(values)
+    finger = field.at_nodes(weight) > 0.5
     quality = 100.0 * float((clear & finger).sum()) / max(int(finger.sum()), 1)
     brightness = light[inside] / np.iinfo(pixels.dtype).max
     change = _to_change(clear & finger, finger, field, amplitude, width_px=width, light=brightness)
@@ -203,7 +213,8 @@ def finger_of_photo(
     if not upright.clear:
         unclear = "which way its tip points is not clear; turn the photograph upright."
         findings.append(Finding("unsure-tip", unclear))
-    cure = f": {change}" if quality < GOOD else ""
+    # from 50 on nothing has to be changed
+    cure = f": {change}" if quality < 50 else ""
     findings.append(Finding("fingerphoto-quality", f"quality {quality:.0f} of 100{cure}."))
 
     # the last phalanx at 500 ppi
@@ -254,15 +265,9 @@ def _even(values: FloatArray, weight: FloatArray) -> tuple[GreyArray, BoolArray]
     """(h, w) a print of light without its shading, and where; contrast is raised alike everywhere,
     so that blocks of JPEG that lost their ridges stay flat.
     """
-    rim = disc(RIM_PX)
-    whole = (
-        cv2.erode(
-            (weight > 0.5).astype(np.uint8), rim, borderType=cv2.BORDER_CONSTANT, borderValue=0
-        )
-        > 0
-    )
+    whole = scipy.ndimage.binary_erosion(weight > 0.5, disc(8) > 0)
     known = whole.astype(np.float32)
-    detail, _ = without_shading(np.log(np.maximum(values, 1.0)) * known, known, SHADING_PX)
+    detail, _ = without_shading(np.log(np.maximum(values, 1.0)) * known, known, 9.0)
     usual = 1.48 * float(np.median(np.abs(detail[whole]))) if whole.any() else 1.0
     grey = 127.5 - 127.5 * np.clip(detail / max(2.5 * usual, 1e-6), -1.0, 1.0)
     return np.round(grey).astype(np.uint8), whole
@@ -301,11 +306,7 @@ def _to_change(
     return max(causes, key=lambda cause: causes[cause])
 
 
-def _at_nodes(image: NDArray[Any], field: RidgeField) -> NDArray[Any]:
-    """(n, m) values of an image (h, w) at a field's nodes, 0 beyond it."""
-    step, (n, m) = field.step_px, field.mask.shape
-    padded = np.pad(image, ((0, n * step - image.shape[0]), (0, m * step - image.shape[1])))
-    return padded[step // 2 :: step, step // 2 :: step]
+_THICKNESS = 0.8  # depth over breadth of a fingertip
 
 
 def _unrolled(inside: BoolArray, upright: Upright, step: float) -> PrintMap:
@@ -328,12 +329,12 @@ def _unrolled(inside: BoolArray, upright: Upright, step: float) -> PrintMap:
     middle = 0.5 * (left + right)
     half = np.maximum(0.5 * (right - left), 1.0)
 
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(1.0, THICKNESS * np.diff(half)))])
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(1.0, _THICKNESS * np.diff(half)))])
     # of an ellipse, whose point lies at sin(turn) from the middle
     turn = np.linspace(0.0, 0.5 * np.pi, 200)
-    slope = np.hypot(np.cos(turn), THICKNESS * np.sin(turn))
-    arc = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(turn))])
-    steepest = np.arctan(np.tan(np.radians(PHOTO_SLANT_DEG)) / THICKNESS)
+    arc = scipy.special.ellipeinc(turn, 1.0 - _THICKNESS**2)
+    # skin steeper than 70 deg is left out
+    steepest = np.arctan(np.tan(np.radians(70.0)) / _THICKNESS)
     size = (
         int(along[-1] / step) + 1,
         2 * int(half.max() * np.interp(steepest, turn, arc) / step) + 1,
@@ -354,6 +355,11 @@ def _unrolled(inside: BoolArray, upright: Upright, step: float) -> PrintMap:
     )
 
 
+_PAD = (0.3, 1.1)
+"""Range from the tip along the skin where ridges are as far apart as contact prints show them;
+below they are wider apart, in widths of the finger."""
+
+
 def _usual_scale(
     field: RidgeField, clear: BoolArray, by_width: float, width_px: float
 ) -> tuple[float, str]:
@@ -364,7 +370,7 @@ def _usual_scale(
     scale `by_width`, by which the width alone is usual; `clear`: (n, m) where they count.
     """
     back = (np.arange(len(clear)) + 0.5) * field.step_px * (25.4 / PPI / USUAL_WIDTH_MM)
-    on_pad = clear & ((back > PAD[0]) & (back < PAD[1]))[:, None]
+    on_pad = clear & ((back > _PAD[0]) & (back < _PAD[1]))[:, None]
     periods = field.period_mm(PPI)[on_pad if on_pad.any() else clear]
     by_ridges = by_width * float(np.median(periods)) / USUAL_PERIOD_MM
     require(
@@ -376,7 +382,7 @@ def _usual_scale(
     weight = PEOPLE**-2 / (PEOPLE**-2 + _WIDTH_SPREAD**-2)
     scale = by_ridges**weight * by_width ** (1.0 - weight)
     note = (
-        f"its scale is assumed, to about {100 * PEOPLE:.0f} %: {NEARER * width_px / scale:.1f} mm"
+        f"its scale is assumed, to about {100 * PEOPLE:.0f} %: {_NEARER * width_px / scale:.1f} mm"
         f" wide, ridges on its pad {USUAL_PERIOD_MM * by_ridges / scale:.2f} mm apart."
     )
     return scale, note

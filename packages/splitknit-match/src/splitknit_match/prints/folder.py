@@ -28,7 +28,6 @@ from splitknit_match.prints.from_file import (
 )
 from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
 from splitknit_match.prints.minutiae_record import PPI, Minutiae
-from splitknit_match.prints.parameters import FULL_RATING, MAX_SENTENCES, MIN_RATING
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.sources import Source
 from splitknit_match.records.minutiae_files import encode_minutiae_record
@@ -127,10 +126,12 @@ def write_print(
     return facts
 
 
-def print_of_file(path: Path, resolution_ppi: float | None) -> tuple[Source, Print]:
+def print_of_file(
+    path: Path, resolution_ppi: float | None, ridges: str | None = None
+) -> tuple[Source, Print]:
     """The only print of a file. Raises BadInput, naming it, if it holds minutiae or has no
     ridges."""
-    item = read_one_finger(path, resolution_ppi)
+    item = read_one_finger(path, resolution_ppi, ridges)
     if not isinstance(item, PrintFile):
         raise BadInput(
             f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture."
@@ -161,7 +162,7 @@ def print_of_photo(photo: FingerPhoto) -> tuple[Source, Print]:
         findings=photo.findings,
         quality=photo.quality,
     )
-    return source, contact_print(photo.flat, ridges.inside, ridges, photo.map)
+    return source, contact_print(photo.flat, ridges, photo.map)
 
 
 def _page(
@@ -245,6 +246,14 @@ def _quality_facts(
     return facts
 
 
+_MIN_RATING = 0.7
+"""A figure of a lower rating is mentioned. Chosen on: simulated fingers (with and without a fault,
+scale 0.4)."""
+_FULL_RATING = 0.95
+"""Rating of the ridges' height from which on soft edges are the finger's own. Chosen on: simulated
+fingers (with and without a fault, scale 0.4)."""
+
+
 def advice(quality: PrintQuality) -> tuple[Finding, ...]:
     """What is wrong with a print and what to do, at most three findings, the worst first; empty if
     nothing is.
@@ -253,14 +262,14 @@ def advice(quality: PrintQuality) -> tuple[Finding, ...]:
     """
     figures = {name: value or 0.0 for name, value in asdict(quality.figures).items()}
     percent = {"lost": 100.0 * (1.0 - figures["ridge_share"]), "gaps": 100.0 * figures["gap_share"]}
-    sharp = quality.worth.get("ridge_height_um", 0.0) >= FULL_RATING
+    sharp = quality.worth.get("ridge_height_um", 0.0) >= _FULL_RATING
     findings: dict[Finding, None] = {}
     for name, rating in sorted(quality.worth.items(), key=itemgetter(1)):
         # defocus lowers ridges as well; soft but high ones grew that way
-        if rating < MIN_RATING and not (sharp and name == "sharpness"):
+        if rating < _MIN_RATING and not (sharp and name == "sharpness"):
             code, sentence = _ADVICE[name]
             findings[Finding(code, sentence.format(**figures, **percent))] = None
-    return tuple(findings)[:MAX_SENTENCES]
+    return tuple(findings)[:3]
 
 
 _NOISE = (

@@ -1,9 +1,9 @@
 """Minutiae of one print, and the bytes in which they are kept.
 
-The bytes, little-endian: ``SKMI``, version (uint16), rows and columns of the print at 500 ppi and
-the number of minutiae (uint16 each), CRC-32 of all that follows (uint32); for each minutia column
-and row (uint16 each), direction in 256 steps, type, quality (a byte each). A print without any
-minutiae is zero bytes.
+The bytes, little-endian: ``SKMI``, version (uint16), what they were found in (a byte), rows and
+columns of the print at 500 ppi and the number of minutiae (uint16 each), CRC-32 of all that follows
+(uint32); for each minutia column and row (uint16 each), direction in 256 steps, type, quality (a
+byte each). A print without any minutiae is zero bytes.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import require
-from splitknit_match.prints.parameters import LARGEST_MM2
 from splitknit_match.records.minutiae_record import (
     BIFURCATION,
     ENDING,
+    KINDS,
     MIN_MINUTIAE,
     PPI,
     Minutiae,
@@ -28,8 +28,8 @@ from splitknit_match.records.minutiae_record import (
 __all__ = [
     "BIFURCATION",
     "ENDING",
+    "KINDS",
     "LARGEST_MM2",
-    "MAX_MINUTIAE",
     "MINUTIAE_VERSION",
     "MIN_MINUTIAE",
     "PPI",
@@ -40,12 +40,13 @@ __all__ = [
     "unpack_minutiae",
 ]
 
-MINUTIAE_VERSION = 1
+LARGEST_MM2 = 3600.0
+"""Of one finger: a print with what is white about it, a template's box, a surface. A rolled print
+has 1,600 (40 x 40 mm); four fingers side by side have 6,200 and are no print of one. Work and
+memory (0.4 GB) grow with it."""
+MINUTIAE_VERSION = 2
 """Version of the packed bytes; a reader refuses others. Source: definition of the packed bytes."""
-MAX_MINUTIAE = 200
-"""bozorth3 compares no more (its MAX_BOZORTH_MINUTIAE). Source: NBIS, bozorth3
-(MAX_BOZORTH_MINUTIAE)."""
-_MAGIC, _HEAD = b"SKMI", struct.Struct("<4sHHHHI")
+_MAGIC, _HEAD = b"SKMI", struct.Struct("<4sHBHHHI")
 _ROW = np.dtype(
     [("x", "<u2"), ("y", "<u2"), ("direction", "u1"), ("type", "u1"), ("quality", "u1")]
 )
@@ -54,7 +55,7 @@ _STEP_RAD = 2 * np.pi / 256
 
 
 def pack_minutiae(minutiae: Minutiae) -> bytes:
-    """Bytes of minutiae, 16 and 7 for each; none where there are none.
+    """Bytes of minutiae, 17 and 7 for each; none where there are none.
 
     Directions are kept in steps of 1.4 deg; those of mindtct (11.25 deg) exactly.
     """
@@ -63,10 +64,8 @@ def pack_minutiae(minutiae: Minutiae) -> bytes:
     steps = np.round(minutiae.direction_rad / _STEP_RAD).astype(np.int64) % 256
     columns: list[Any] = [minutiae.x_px, minutiae.y_px, steps, minutiae.type, minutiae.quality]
     body = np.rec.fromarrays(columns, _ROW).tobytes()
-    return (
-        _HEAD.pack(_MAGIC, MINUTIAE_VERSION, *minutiae.size, minutiae.count, zlib.crc32(body))
-        + body
-    )
+    counts = *minutiae.size, minutiae.count, zlib.crc32(body)
+    return _HEAD.pack(_MAGIC, MINUTIAE_VERSION, KINDS.index(minutiae.kind), *counts) + body
 
 
 def holds_minutiae(data: bytes) -> bool:
@@ -89,19 +88,20 @@ def unpack_minutiae(data: bytes) -> Minutiae:
     require(
         sound, f"these {len(data)} bytes are no packed minutiae (they begin with 'SKMI'); {remedy}"
     )
-    _, version, rows, columns, count, checksum = _HEAD.unpack_from(data)
+    _, version, kind, rows, columns, count, checksum = _HEAD.unpack_from(data)
     require(
         version == MINUTIAE_VERSION,
         f"the minutiae are of version {version}, but this program reads version {MINUTIAE_VERSION};"
         f" {remedy}",
     )
     body = data[_HEAD.size :]
+    whole = 0 < len(body) == count * _ROW.itemsize and zlib.crc32(body) == checksum
     require(
-        0 < len(body) == count * _ROW.itemsize and zlib.crc32(body) == checksum,
+        whole and kind < len(KINDS),
         f"the packed minutiae are damaged (their length or checksum does not fit); {remedy}",
     )
     table = np.frombuffer(body, dtype=_ROW)
     x, y = (table[name].astype(np.int32) for name in "xy")
-    return Minutiae(
-        x, y, table["direction"] * _STEP_RAD, table["type"], table["quality"], (rows, columns)
-    )
+    turn = table["direction"] * _STEP_RAD
+    size = rows, columns
+    return Minutiae(x, y, turn, table["type"], table["quality"], size, kind=KINDS[kind])

@@ -7,6 +7,8 @@ package beyond numpy and OpenCV.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -15,21 +17,13 @@ from splitknit.imaging.geometry import sampled_at
 from splitknit.model import Array, FloatArray, GreyArray
 from splitknit_match.prints.enhance import Enhanced
 from splitknit_match.prints.minutiae_record import BIFURCATION, ENDING, Minutiae
-from splitknit_match.prints.parameters import (
-    AGAIN,
-    APART_MM,
-    FAR_MM,
-    MIN_MISSING,
-    OPPOSITE,
-    PHASE_EDGE_MM,
-    SURE,
-    WAVE_LIKENESS,
-)
 from splitknit_match.prints.ridge_field import outline_distance_mm
 
 _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))
 """Corners of a square of pixels, row and column, counter-clockwise as displayed. Source:
 definition."""
+PHASE_EDGE_MM = 0.6  # nearer to the print's outline no minutia is taken: every ridge ends there
+WAVE_LIKENESS = 0.7  # minutiae about which the print follows the wave less are left out
 
 
 def by_phase(
@@ -54,18 +48,18 @@ def by_phase(
     """
     ridges = -enhanced.wave.astype(float)  # positive on ridges
     along, wave_number = _field(enhanced)
-    turns, quadratures = _turns(ridges, along, wave_number)
+    turns, waves = _turns(ridges, along, wave_number)
     rows, columns = np.nonzero(np.abs(turns) > 0.5)
     distance = outline_distance_mm(enhanced.mask, ppi)[rows, columns]
     like = np.clip(_likeness(image, ridges)[rows, columns], 0, 1)
     if confidence is not None:
-        like = like * np.sqrt(np.minimum(confidence[rows, columns] / SURE, 1))
+        # ridges of a lower confidence lower the quality of minutiae
+        like = like * np.sqrt(np.minimum(confidence[rows, columns] / 0.25, 1))
     kept = (distance >= PHASE_EDGE_MM) & (np.round(100 * like) >= 100 * WAVE_LIKENESS)
     rows = rows[kept]
     columns = columns[kept]
-    place = np.stack([columns + 0.5, rows + 0.5], axis=1) + _zeros(
-        ridges, quadratures, rows, columns
-    )
+    zeros = _zeros(np.stack([wave[rows, columns] for wave in waves]))
+    place = np.stack([columns + 0.5, rows + 0.5], axis=1) + zeros
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
     kind = _kinds(ridges, place, towards, wave_number[rows, columns])
     quality = _quality(like[kept], distance[kept], place * (25.4 / ppi), towards)
@@ -76,20 +70,24 @@ def by_phase(
     return Minutiae(column, row, towards % (2 * np.pi), kind, quality, size)
 
 
+_APART_MM = 2.0  # the distance to the nearest opposite minutia adds nothing beyond this
+_AGAIN = (-1.824, -0.332, 0.531, 0.814)
+"""Logistic regression behind the quality of a minutia: offset, and weights of the logarithm of what
+is missing to full likeness, of the distance to the outline, and of that to the nearest opposite
+minutia. Chosen on: real prints (30 fingers of six sensors, validation/records/quality.py)."""
+
+
 def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Array) -> GreyArray:
     """(N,) percent: how probably another print of the finger has these minutiae too."""
-    apart = np.full(len(like), APART_MM)
+    apart = np.full(len(like), _APART_MM)
     for k, (place, turn) in enumerate(zip(place_mm, towards, strict=True)):
-        opposite = place_mm[np.cos(towards - turn) < OPPOSITE]
-        apart[k] = min([APART_MM, *np.hypot(*(opposite - place).T)])
-    missing = np.log(np.maximum(1 - like.astype(float), MIN_MISSING))
-    return _probability(
-        np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, FAR_MM), apart], axis=1)
-    )
-
-
-def _probability(terms: Array) -> GreyArray:
-    return np.asarray(np.round(100 / (1 + np.exp(-terms @ np.array(AGAIN)))), dtype=np.uint8)
+        # those that differ in direction by more than 120 deg
+        opposite = place_mm[np.cos(towards - turn) < -0.5]
+        apart[k] = min([_APART_MM, *np.hypot(*(opposite - place).T)])
+    # closer to full likeness, or more than 4 mm from the outline, nothing is added
+    missing = np.log(np.maximum(1 - like.astype(float), 0.003))
+    terms = np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, 4.0), apart], axis=1)
+    return np.asarray(np.round(100 / (1 + np.exp(-terms @ np.array(_AGAIN)))), dtype=np.uint8)
 
 
 def _field(enhanced: Enhanced) -> tuple[Array, Array]:
@@ -109,11 +107,11 @@ def _field(enhanced: Enhanced) -> tuple[Array, Array]:
     return 0.5 * np.arctan2(sine, cosine).astype(float), 2 * np.pi * frequency.astype(float)
 
 
-def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list[Array]]:
+def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list[Any]]:
     """(h - 1, w - 1) turns of the phase, counter-clockwise around each square of four pixels: -1, 0
     or 1.
 
-    And the wave a quarter turn on, (h - 1, w - 1) at each of the four corners.
+    And the wave at each of the four corners, (h - 1, w - 1) complex, imaginary a quarter turn on.
     """
     down, right = np.gradient(ridges)
     # a quarter turn on from the ridges: right, up
@@ -125,39 +123,25 @@ def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list
         return values[..., row : height - 1 + row, column : width - 1 + column]
 
     first = corner(across, *_CORNERS[0])
-    phases = []
-    quadratures = []
+    waves = []
     for place in _CORNERS:
-        same = np.sign((corner(across, *place) * first).sum(axis=0))
-        quadratures.append(np.where(same < 0, -1.0, 1.0) * corner(quadrature, *place))
-        phases.append(np.arctan2(quadratures[-1], corner(ridges, *place)))
-    total = np.zeros((height - 1, width - 1))
-    for k in range(4):
-        step = phases[(k + 1) % 4] - phases[k]
-        total += step - 2 * np.pi * np.round(step / (2 * np.pi))
-    return np.round(total / (2 * np.pi)), quadratures
+        opposite = (corner(across, *place) * first).sum(axis=0) < 0
+        turned = np.where(opposite, -1.0, 1.0) * corner(quadrature, *place)
+        waves.append(corner(ridges, *place) + 1j * turned)
+    following = [*waves[1:], waves[0]]
+    steps = [np.angle(b * a.conj()) for a, b in zip(waves, following, strict=True)]
+    return np.round(np.sum(steps, axis=0) / (2 * np.pi)), waves
 
 
-def _zeros(
-    ridges: Array, quadratures: list[Array], rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> Array:
-    """(N, 2) how far right and down of a square's middle the wave and its quadrature vanish, each
-    fitted by a plane."""
-    values = np.stack(
-        [
-            ridges[rows + down, columns + right] + 1j * quadrature[rows, columns]
-            for (down, right), quadrature in zip(_CORNERS, quadratures, strict=True)
-        ]
-    )
+def _zeros(values: NDArray[np.complex128]) -> Array:
+    """(N, 2) how far right and down of a square's middle its wave vanishes, fitted by a plane to
+    the four corners (4, N)."""
     down, right = (np.array(_CORNERS) - 0.5).T @ values
     middle = values.mean(axis=0)
     determinant = (right * down.conj()).imag
     flat = np.abs(determinant) < 1e-12  # no direction in which both grow
-    determinant = np.where(flat, 1.0, determinant)
-    offset = (
-        np.stack([-(middle * down.conj()).imag, (middle * right.conj()).imag], axis=1)
-        / determinant[:, None]
-    )
+    offset = np.stack([-(middle * down.conj()).imag, (middle * right.conj()).imag], axis=1)
+    offset /= np.where(flat, 1.0, determinant)[:, None]
     return np.where(flat[:, None], 0.0, np.clip(offset, -0.5, 0.5))
 
 

@@ -25,13 +25,20 @@ class PhotoFinger:
         """Whether somebody chose."""
         return self.mask is not None or self.box is not None
 
-    def pixels(self) -> BoolArray | None:
-        """(H, W) bool of the mask."""
+    def pixels(self, size: tuple[int, ...]) -> BoolArray | None:
+        """(H, W) bool of the mask of a photograph of `size`. Raises BadInput if it has another."""
         if self.mask is None:
             return None
         from splitknit.io.photos import read_photo  # a template needs none of it
 
-        white = read_photo(self.mask).pixels.mean(axis=-1)
+        def check(rows: int, columns: int) -> None:
+            require(
+                (rows, columns) == size,
+                f"{self.mask} has {rows} x {columns} pixels (rows x columns), but the photograph"
+                f" has {size[0]} x {size[1]}.",
+            )
+
+        white = read_photo(self.mask, check).pixels.mean(axis=-1)
         return np.asarray(white > 0.5 * max(float(white.max()), 1.0))
 
     def corners(self) -> tuple[int, int, int, int] | None:

@@ -1,111 +1,47 @@
 """Where the pixels of a print lie in the image, and the other way round.
 
 A map is made of a coarse grid of nodes whose places are known in the input and on the print, read
-by cubic interpolation (Catmull and Rom 1974); its inverse is found by Newton's method and stored
-densely. Points are (column, row), as everywhere.
+by cubic splines; its inverse is stored densely. Points are (column, row), as everywhere.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 import scipy
-from numpy.polynomial.polynomial import polyder, polyval
-from numpy.typing import NDArray
 
 from splitknit.checks import check_mask
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH, upright_from_print
-from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, sampled_at
+from splitknit.imaging.pixels import bin_mean
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_match.prints.parameters import (
-    LARGEST_PX,
-    MAP_STEP_MM,
-    MARGIN_MM,
-    NEWTON_STEPS,
-    SIGMA_PX,
-    SLANT_DEG,
-)
-from splitknit_match.prints.unroll import SurfaceGrid, Unrolled, extrapolated, moved, slant_cos
+from splitknit_match.prints.unroll import SurfaceGrid, Unrolled, extrapolated, moved
+from splitknit_match.rolled.chart import surface_normals
 
 NOWHERE = -1e6
 """Where a print's pixel lies in the input if it shows nothing. Source: definition."""
 
-# Smooth functions on coarse grids: read anywhere, read densely, and inverted.
-#
-# Source: E. Catmull and R. Rom 1974, A class of local interpolating splines: straight lines are
-# read exactly.
 
-_CATMULL_ROM = np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]]) / 2
-"""Weights of the four values around, as polynomials of the place between the middle two, constant
-term first. Source: E. Catmull and R. Rom, 1974."""
-
-
-def _dense(
-    values: NDArray[Any], size: tuple[int, ...], step: float, *, linear: bool = False
-) -> FloatArray:
-    """Read a coarse grid, its first pixel two steps before the fine one's, at every pixel of a fine
-    grid."""
-
-    def interpolation(pixels: int, nodes: int) -> FloatArray:
-        """(pixels, nodes) matrix that interpolates a line."""
-        places = np.arange(pixels) / step + 2.0
-        first = np.floor(places).astype(np.intp)
-        rest = places - first
-        weights = [0.0 * rest, 1.0 - rest, rest] if linear else polyval(rest, _CATMULL_ROM.T)
-        matrix = np.zeros((pixels, nodes), dtype=np.float32)
-        for k, weight in enumerate(weights):
-            matrix[np.arange(pixels), np.clip(first + k - 1, 0, nodes - 1)] += weight
-        return matrix
-
-    down, across = map(interpolation, size, values.shape)
-    return down @ values.astype(np.float32) @ across.T
-
-
-def _cubic(values: Array, places: Array) -> tuple[Array, Array]:
-    """Values (N, 2) of a grid (n, m, 2) at `places` (N, 2; column, row), and their slopes (N, 2,
-    2); NaN outside."""
-    n, m = values.shape[:2]
-    result = np.full((len(places), 2), np.nan)
-    slope = np.full((len(places), 2, 2), np.nan)
-    good = ((places >= 1) & (places <= [m - 2, n - 2])).all(axis=1)
-    where = places[good]
-    first = np.minimum(np.floor(where).astype(np.intp), [m - 3, n - 3])
-    rest = (where - first).T
-    around = np.arange(-1, 3)
-    # (N, 4, 4, 2)
-    patch = values[
-        (first[:, 1, None] + around)[:, :, None], (first[:, 0, None] + around)[:, None, :]
-    ]
-    across, down = polyval(rest, _CATMULL_ROM.T).swapaxes(0, 1)  # (4, N) each
-    across_slope, down_slope = polyval(rest, polyder(_CATMULL_ROM.T)).swapaxes(0, 1)
-    result[good] = np.einsum("nijk,jn,in->nk", patch, across, down)
-    slope[good, :, 0] = np.einsum("nijk,jn,in->nk", patch, across_slope, down)
-    slope[good, :, 1] = np.einsum("nijk,jn,in->nk", patch, across, down_slope)
-    return result, slope
-
-
-def _inverted(values: Array, targets: Array, start: Array) -> Array:
-    """Places (N, 2) at which the grid has the values `targets`, by Newton steps from `start`; NaN
-    where none is."""
-    places = start.copy()
-    for _ in range(NEWTON_STEPS):
-        here, slope = _cubic(values, places)
-        miss = targets - here
-        determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
-        determinant = np.where(np.abs(determinant) > 1e-12, determinant, 1e-12)
-        right = (miss[:, 0] * slope[:, 1, 1] - miss[:, 1] * slope[:, 0, 1]) / determinant
-        down = (slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0]) / determinant
-        move = np.clip(np.stack([right, down], axis=1), -1.5, 1.5)
-        done = np.abs(miss).max(axis=1, keepdims=True) <= 1e-5
-        places = np.where(done, places, places + move)
-    here, _ = _cubic(values, places)
-    places[~(np.abs(here - targets).max(axis=1) < 1e-3)] = np.nan
-    return places
+def _read(values: Array, places: Array) -> Array:
+    """Values (..., 2) of a grid (n, m, 2) at `places` (..., 2; column, row), by cubic splines; NaN
+    beside its nodes."""
+    column, row = np.moveaxis(np.nan_to_num(places, nan=-1.0), -1, 0)
+    at = column.astype(np.float32), row.astype(np.float32)
+    whole = np.nan_to_num(extrapolated(values, 8))  # splines swing where zeros begin
+    lines = np.arange(whole.shape[0]), np.arange(whole.shape[1])
+    return np.stack(
+        [
+            scipy.interpolate.RectBivariateSpline(*lines, filled).ev(row, column)
+            + 0.0 * sampled_at(known.astype(np.float32), *at, outside=np.nan)
+            for filled, known in zip(
+                np.moveaxis(whole, 2, 0), np.moveaxis(values, 2, 0), strict=True
+            )
+        ],
+        axis=-1,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +62,7 @@ class PrintMap:
 
     def print_from_input(self, points: Array) -> Array:
         """Places (N, 2) on the print of places (N, 2) in the input; NaN beside the finger."""
-        return _cubic(self.print_of_grid, moved(np.linalg.inv(self.input_from_grid), points))[0]
+        return _read(self.print_of_grid, moved(np.linalg.inv(self.input_from_grid), points))
 
     def input_from_print(self, points: Array) -> Array:
         """Places (N, 2) in the input of places (N, 2) on the print; NaN where the print shows
@@ -169,8 +105,12 @@ def plane_map(
     )
 
 
+_MARGIN_MM = 0.5  # margin of a print around all that it holds
+_SLANT_DEG = 70.0  # skin steeper than this is left out of a print: the camera hardly sees it
+
+
 def unrolled_map(
-    unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = SLANT_DEG
+    unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = _SLANT_DEG
 ) -> PrintMap:
     """Return the map of skin that was laid flat; the print holds all that is less steep than
     `slant_deg`, and a margin.
@@ -191,18 +131,18 @@ def unrolled_map(
         facing.any(),
         "the finger hardly faces the camera; capture it again with its pad towards it.",
     )
-    low = flat[facing].min(axis=0) - MARGIN_MM
-    high = flat[facing].max(axis=0) + MARGIN_MM
+    low = flat[facing].min(axis=0) - _MARGIN_MM
+    high = flat[facing].max(axis=0) + _MARGIN_MM
     size = _checked_size(*(int(np.ceil(length)) for length in (high - low)[::-1] * px_per_mm))
     # mirrored, as paper shows it
     print_of_grid = 0.5 * (np.array(size[::-1]) - 1) - (flat - 0.5 * (low + high)) * px_per_mm
-    columns, rows = _dense_inverse(print_of_grid, grid, size, MAP_STEP_MM * px_per_mm, slant_deg)
+    columns, rows = _inverse(print_of_grid, grid, size, slant_deg)
     return PrintMap(kind, ppi, columns, rows, grid.input_from_grid, print_of_grid)
 
 
 def _checked_size(rows: int, columns: int) -> tuple[int, int]:
     require(
-        rows * columns <= LARGEST_PX,
+        rows * columns <= 25_000_000,  # largest print: 250 x 250 mm at 500 ppi
         f"the print would have {rows} x {columns} pixels, more than any finger's; check the scale"
         " of its input.",
     )
@@ -216,44 +156,40 @@ def _check_ppi(ppi: float) -> None:
     )
 
 
-def _dense_inverse(
-    print_of_grid: Array,
-    grid: SurfaceGrid,
-    size: tuple[int, int],
-    step: float,
-    slant_deg: float | None,
+def _inverse(
+    print_of_grid: Array, grid: SurfaceGrid, size: tuple[int, int], slant_deg: float | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Columns and rows of the input for every pixel of the print."""
-    lines = [np.arange(-2, int(np.ceil((n - 1) / step)) + 3) * step for n in size]
-    coarse = np.stack(np.meshgrid(lines[1], lines[0]), axis=2)
-    targets = coarse.reshape(-1, 2)
+    """Columns and rows of the input for every pixel of the print.
+
+    Source: P. Alfeld 1984, A trivariate Clough-Tocher scheme for tetrahedral data (as scipy has it
+    in the plane): smooth, and straight lines are read exactly.
+    """
     near = np.isfinite(print_of_grid).all(axis=2)
     near &= cv2.dilate(grid.inside.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    _, nearest = scipy.spatial.cKDTree(print_of_grid[near]).query(targets)
-    start = np.argwhere(near)[nearest, ::-1].astype(float)
-    nodes = _inverted(print_of_grid, targets, start).reshape(coarse.shape)
-    filled = extrapolated(nodes, 3)
-    input_of_coarse = np.nan_to_num(moved(grid.input_from_grid, filled))
-    trusted = _dense(np.isfinite(nodes[..., 0]), size, step, linear=True) > 0.999
-    if slant_deg is not None:
-        column, row = np.moveaxis(np.nan_to_num(nodes, nan=-1.0).astype(np.float32), 2, 0)
-        cosine = cv2.remap(
-            _facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        trusted &= _dense(cosine, size, step, linear=True) > np.float32(
-            np.cos(np.deg2rad(slant_deg))
-        )
-    columns, rows = (
-        np.where(trusted, _dense(part, size, step), NOWHERE).astype(np.float32)
-        for part in np.moveaxis(input_of_coarse, 2, 0)
+    nodes = np.argwhere(near)[:, ::-1].astype(float)
+    inverse = scipy.interpolate.CloughTocher2DInterpolator(print_of_grid[near], nodes)
+    pixel = np.stack(np.meshgrid(*map(np.arange, size[::-1])), axis=2)
+    target = pixel.astype(float)
+    for _ in range(2):  # farther by what it misses
+        target += pixel - _read(print_of_grid, inverse(target))
+    node = inverse(target)
+    column, row = np.moveaxis(np.nan_to_num(node, nan=-1.0).astype(np.float32), 2, 0)
+    facing = cv2.remap(
+        _facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    return columns, rows
+    least = -1.0 if slant_deg is None else np.cos(np.deg2rad(slant_deg))
+    known = np.isfinite(node[..., 0]) & (facing > least)
+    columns, rows = np.moveaxis(moved(grid.input_from_grid, node), 2, 0)
+    whole = np.where(known, (columns, rows), NOWHERE).astype(np.float32)
+    return whole[0], whole[1]
 
 
 def _facing(grid: SurfaceGrid) -> FloatArray:
     """(n, m) cosine of the slant, evened out over neighbours so that its contours are smooth;
     continued outwards."""
-    cosine = np.where(grid.inside, slant_cos(grid.points_mm), np.nan)[..., None]
+    cosine = np.where(grid.inside, np.abs(surface_normals(grid.points_mm)[..., 2]), np.nan)[
+        ..., None
+    ]
     cosine = np.clip(np.nan_to_num(extrapolated(cosine, 4)[..., 0]), 0.0, 1.0).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(cosine, (0, 0), 0.8))
 
@@ -279,7 +215,7 @@ def resample(
     weight = bin_mean(inside.astype(np.float32), factor)
     values = bin_mean(np.where(inside, field[rows, columns], 0.0).astype(np.float32), factor)
     if step > 1.0:
-        sigma = float(np.sqrt(max((SIGMA_PX * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
+        sigma = float(np.sqrt(max((0.5 * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
         weight = gaussian_mean(weight, sigma)
         values = gaussian_mean(values, sigma) / np.maximum(weight, 1e-3) * (weight > 1e-3)
     x = (print_map.columns - columns.start + 0.5) / factor - 0.5

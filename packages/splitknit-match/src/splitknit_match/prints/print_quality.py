@@ -14,24 +14,15 @@ from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.enhance import node_amplitudes
-from splitknit_match.prints.parameters import (
-    CLOSE_MM,
-    MIN_HEIGHT_UM,
-    MIN_PART,
-    PERIOD_TOLERANCE,
-    SMOOTH_MM,
-    WAVE_PURITY,
-    WAVE_SIGMA_PERIODS,
-)
+from splitknit_match.prints.pressed import without_shading
 from splitknit_match.prints.ridge_field import RidgeField
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #
 # Everything is measured on the values that are inked (the relief in micrometres, or light), not on
-# the print's grey
-# values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its
-# height, its fraction of
-# all that varies around it, and its second harmonic, which shows how sharp the ridges' edges are.
+# the print's grey values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is
+# fitted: its height, its fraction of all that varies around it, and its second harmonic, which
+# shows how sharp the ridges' edges are.
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,28 +55,25 @@ class QualityFigures:
     """mm, 0 or more: sideways from the middle of the finger's area to the middle of the ridges."""
 
 
+_WAVE_SIGMA_PERIODS = 0.75  # standard deviation of the window in which a wave is fitted
+_SMOOTH_MM = 0.6  # values are taken relative to their Gaussian mean of this standard deviation
+
+
 def _waves(
     values: FloatArray, weight: FloatArray, sampled: RidgeField, px: float
 ) -> tuple[NDArray[np.complex64], NDArray[np.complex64], FloatArray]:
     """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a
     wave explains."""
     inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
-    around = np.maximum(gaussian_mean(inside, SMOOTH_MM * px), 1e-3)
     centred = np.where(inside > 0, values, 0.0).astype(np.float32)
-    # the second pass takes out what a one-sided window leaves of a slope at the outline
-    for _ in range(2):
-        mean = gaussian_mean(centred * inside, SMOOTH_MM * px) / around
-        centred = np.where(inside > 0, centred - mean, 0.0).astype(np.float32)
-    centred = (centred * inside).astype(np.float32)
+    centred, _ = without_shading(centred, inside, _SMOOTH_MM * px)
     twice = replace(sampled, frequency_px=2.0 * sampled.frequency_px)
-    first = node_amplitudes(centred, sampled, WAVE_SIGMA_PERIODS)
-    second = node_amplitudes(centred, twice, 2.0 * WAVE_SIGMA_PERIODS)
-    width = WAVE_SIGMA_PERIODS / float(np.median(sampled.frequency_px[sampled.mask]))
+    first = node_amplitudes(centred, sampled, _WAVE_SIGMA_PERIODS)
+    second = node_amplitudes(centred, twice, 2.0 * _WAVE_SIGMA_PERIODS)
+    width = _WAVE_SIGMA_PERIODS / float(np.median(sampled.frequency_px[sampled.mask]))
     covered = np.maximum(gaussian_mean(inside, width), 0.3)
-    variance = _at_nodes(
-        (gaussian_mean(centred * centred, width) / covered).astype(np.float32), sampled
-    )
-    fraction = _at_nodes(covered, sampled)
+    variance = sampled.at_nodes(gaussian_mean(centred * centred, width) / covered)
+    fraction = sampled.at_nodes(covered)
     first = (first / fraction).astype(np.complex64)
     second = (second / fraction).astype(np.complex64)
     purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, 1e-12)
@@ -109,21 +97,18 @@ def _length(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
     return float(np.flatnonzero(enough)[-1] - first + 1) * cell_mm if enough.any() else 0.0
 
 
+_CLOSE_MM = 3.0
+"""Radius by which the print is closed: gaps up to about twice as wide, with ridges around, are
+distinguished from an outline that has none."""
+
+
 def _gaps(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
     """Fraction of the closed area of the ridges (cells) that has none."""
     if not strong.any():
         return 1.0
-    reach = max(1, round(CLOSE_MM / cell_mm))
+    reach = max(1, round(_CLOSE_MM / cell_mm))
     closed = cv2.morphologyEx(np.pad(strong.view(np.uint8), reach), cv2.MORPH_CLOSE, disc(reach))
     return float(1.0 - strong[finger & (closed[reach:-reach, reach:-reach] > 0)].mean())
-
-
-def _at_nodes(image: FloatArray, field: RidgeField) -> FloatArray:
-    """(n, m) means over the nodes' cells."""
-    n, m = field.mask.shape
-    padded = np.zeros((n * field.step_px, m * field.step_px), dtype=np.float32)
-    padded[: image.shape[0], : image.shape[1]] = image
-    return np.asarray(cv2.resize(padded, (m, n), interpolation=cv2.INTER_AREA))
 
 
 PARTS = {
@@ -152,6 +137,17 @@ class PrintQuality:
     figures: QualityFigures
 
 
+_WAVE_PURITY = 0.3
+"""Fraction of what varies around a place that one wave must explain, or there are no ridges. Chosen
+on: simulated fingers (with and without a fault, scale 0.4)."""
+_MIN_HEIGHT_UM = 10.0
+"""Ridges that rise less above their valleys count as none (prints of the relief). Chosen on:
+simulated fingers (with and without a fault, scale 0.4)."""
+_PERIOD_TOLERANCE = 0.35
+"""A ridge period further from the finger's median than this, relative, is not plausible. Chosen on:
+simulated fingers (with and without a fault, scale 0.4)."""
+
+
 def print_quality(
     values: FloatArray,
     weight: FloatArray,
@@ -173,7 +169,7 @@ def print_quality(
     first: the idea of the bispectrum (D. Brillinger 1965).
     """
     px = ppi / MM_PER_INCH
-    finger = _at_nodes(weight, field) > 0.5
+    finger = field.at_nodes(weight) > 0.5
     require(finger.any(), "nothing of the finger lies on the print.")
     finger[1::2] = False  # every second node, each way, is enough
     finger[:, 1::2] = False
@@ -186,13 +182,13 @@ def print_quality(
         return PrintQuality(*score_of(nothing), nothing)
     first, second, purity = _waves(values, weight, sampled, px)
     height = 2.0 * np.abs(first)
-    strong = sampled.mask & (purity > WAVE_PURITY)
+    strong = sampled.mask & (purity > _WAVE_PURITY)
     if in_um:
-        strong &= height > MIN_HEIGHT_UM
+        strong &= height > _MIN_HEIGHT_UM
     period = 1.0 / (field.frequency_px * px)
     typical = float(np.median(period[sampled.mask]))
-    near = (period > typical * (1.0 - PERIOD_TOLERANCE)) & (
-        period < typical * (1.0 + PERIOD_TOLERANCE)
+    near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (
+        period < typical * (1.0 + _PERIOD_TOLERANCE)
     )
     middle = float(np.nonzero(finger)[1].mean())
     figures = QualityFigures(
@@ -220,8 +216,9 @@ def score_of(figures: QualityFigures) -> tuple[float, dict[str, float]]:
     figure gets better, and many good figures do not make up for a bad one. 0 where there are no
     ridges. Figures that are None are left out.
     """
+    # least rating of the worst figure: no single one makes the score 0
     ratings = {
-        name: float(np.clip((figure - useless) / (good - useless), MIN_PART, 1.0))
+        name: float(np.clip((figure - useless) / (good - useless), 0.01, 1.0))
         for name, (useless, good, _) in PARTS.items()
         if (figure := getattr(figures, name)) is not None
     }

@@ -13,20 +13,10 @@ from itertools import product
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.areas import disc
 from splitknit.model import BoolArray, FloatArray, GreyArray
-from splitknit_match.prints.parameters import (
-    LONGEST_PERIOD_MM,
-    MIN_STRENGTH,
-    NARROW_MM,
-    NODE_STEP_MM,
-    SHORTEST_MM,
-    SPECTRUM_WINDOW_MM,
-    WIDE_MM,
-)
 
 NO_RIDGES = "the print has no ridges; check focus and light of the capture."
 
@@ -45,6 +35,13 @@ class RidgeField:
     """(n, m) ridges per pixel."""
     mask: BoolArray
     """(n, m) where there are ridges."""
+
+    def at_nodes(self, image: FloatArray) -> FloatArray:
+        """(n, m) means of an image (h, w) over the nodes' cells; it is 0 beyond its border."""
+        n, m = self.mask.shape
+        below, beside = n * self.step_px - image.shape[0], m * self.step_px - image.shape[1]
+        padded = np.pad(image, ((0, below), (0, beside)))
+        return np.asarray(cv2.resize(padded, (m, n), interpolation=cv2.INTER_AREA))
 
     def period_mm(self, ppi: float) -> FloatArray:
         """(n, m) ridge period, NaN where there are no ridges."""
@@ -65,7 +62,7 @@ def ridge_field(
     """
     require(min(image.shape) * 25.4 / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
     px = ppi / 25.4
-    step = max(2, round(NODE_STEP_MM * px))
+    step = max(2, round(0.2 * px))  # distance between two nodes, rounded to whole pixels
     n, m = (-(-size // step) for size in image.shape)
     below = n * step - image.shape[0]
     beside = m * step - image.shape[1]
@@ -78,13 +75,12 @@ def ridge_field(
         for product in (right * right, right * down, down * down)
     )
     tensor = xx + yy, xx - yy, 2.0 * xy
-    narrow, wide = (
-        [_blur(part, length * px / step) for part in tensor] for length in (NARROW_MM, WIDE_MM)
-    )
-    mask = _extent(np.sqrt(np.maximum(wide[0], 0.0)), px / step)
-    if inside is not None:
-        nodes = np.pad(inside, ((0, below), (0, beside))).reshape(n, step, m, step)
-        mask = mask & nodes.any(axis=(1, 3))
+    # sigmas in mm
+    narrow, wide = ([_blur(part, length * px / step) for part in tensor] for length in (0.3, 0.8))
+    if inside is None:
+        inside = np.ones(image.shape, dtype=bool)
+    nodes = np.pad(inside, ((0, below), (0, beside))).reshape(n, step, m, step)
+    mask: BoolArray = np.asarray(nodes.any(axis=(1, 3)))
     require(mask.any(), NO_RIDGES)
     coherence = np.hypot(narrow[1], narrow[2]) / np.maximum(narrow[0], 1e-6)
     trust = coherence**4
@@ -112,13 +108,6 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
 
 
-def spectra_of(tiles: FloatArray) -> NDArray[np.complex64]:
-    """Transform (..., side, side // 2 + 1) of tiles (..., side, side): numpy, whose factor keeps
-    single precision."""
-    spectra = np.fft.rfft2(tiles, norm="forward")
-    return np.asarray(spectra * (tiles.shape[-1] * tiles.shape[-2]), dtype=np.complex64)
-
-
 def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
     """Sum of tiles (n, m, side, side) that lie `step` pixels apart, as far as whole steps go."""
     (n, m), times = tiles.shape[:2], tiles.shape[2] // step
@@ -135,23 +124,13 @@ def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
 
 def closed_opened(
     area: BoolArray, closing_px: int, opening_px: int, pad: int, border: int = cv2.BORDER_REPLICATE
-) -> GreyArray:
+) -> BoolArray:
     """(H, W) an area closed and opened with discs of these radii; beyond the image it goes on by
     `pad` pixels."""
     padded = cv2.copyMakeBorder(area.astype(np.uint8), pad, pad, pad, pad, border)
     for kind, radius in ((cv2.MORPH_CLOSE, closing_px), (cv2.MORPH_OPEN, opening_px)):
         padded = cv2.morphologyEx(padded, kind, disc(radius))
-    return np.ascontiguousarray(padded[pad:-pad, pad:-pad], dtype=np.uint8)
-
-
-def _larger(area: BoolArray, min_px: float, connectivity: int) -> BoolArray:
-    """The components of an area (H, W) that have more pixels."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(
-        area.view(np.uint8), connectivity=connectivity
-    )
-    large = stats[:, cv2.CC_STAT_AREA] > min_px
-    large[0] = False
-    return np.asarray(large[labels])
+    return np.ascontiguousarray(padded[pad:-pad, pad:-pad]).view(np.bool_)
 
 
 def outline_distance_mm(area: BoolArray, ppi: float) -> FloatArray:
@@ -163,19 +142,6 @@ def outline_distance_mm(area: BoolArray, ppi: float) -> FloatArray:
     )
 
 
-def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
-    """Where the contrast is that of ridges: one piece or several, holes filled, specks dropped."""
-    high = float(np.percentile(strength, 90))
-    if high < 1.0:  # less than a grey level
-        return np.zeros(strength.shape, dtype=bool)
-    radius = max(1, round(0.8 * nodes_per_mm))
-    closed = closed_opened(
-        strength > MIN_STRENGTH * high, radius, radius, 2 * radius + 1, cv2.BORDER_CONSTANT
-    )
-    mask = _larger(closed > 0, 4 * nodes_per_mm**2, 8)
-    return ~_larger(~mask, 4 * nodes_per_mm**2, 4)
-
-
 def _frequencies(
     grey: FloatArray, orientation: FloatArray, step: int, px: float, mask: BoolArray
 ) -> tuple[FloatArray, BoolArray]:
@@ -185,7 +151,7 @@ def _frequencies(
     centroid of the power within two bins of it: under a Hann window that has no bias, wherever
     between the bins a wave lies.
     """
-    least = max(16, round(SPECTRUM_WINDOW_MM * px))
+    least = max(16, round(1.63 * px))  # side of the windows whose spectra give the frequency
     # of small prime factors: quick to transform
     side = next(n for n in range(least, 2 * least) if 30**12 % n == 0)
     pad = side // 2
@@ -198,26 +164,21 @@ def _frequencies(
     wanted = padded.reshape(rows, 2, columns, 2).any(axis=(1, 3))
     patches = windows[wanted]
     hann = np.hanning(side + 2)[1:-1].astype(np.float32)
-    spectrum = spectra_of(
-        (patches - patches.mean(axis=(1, 2), keepdims=True)) * (hann[:, None] * hann)
-    )
-    power = spectrum.real**2 + spectrum.imag**2
-    total = power.sum(axis=(1, 2))
-    # columns -3 to the end: a wave near column 0 has half of its peak on the other side
-    mirrored = np.roll(power[:, ::-1], 1, axis=1)[:, :, 3:0:-1]
-    power = np.concatenate([mirrored, power], axis=2).reshape(len(patches), -1)
-    ky, kx = np.meshgrid(np.fft.fftfreq(side), np.arange(-3, side // 2 + 1) / side, indexing="ij")
+    waves = np.fft.fft2((patches - patches.mean(axis=(1, 2), keepdims=True)) * np.outer(hann, hann))
+    power = waves.real**2 + waves.imag**2
+    total = power[:, :, : side // 2 + 1].sum(axis=(1, 2))  # every wave is there twice
+    power = power.reshape(len(patches), -1)
+    ky, kx = np.meshgrid(*(np.fft.fftfreq(side),) * 2, indexing="ij")
     radius = np.hypot(kx, ky).ravel()
     reach = 2.5 / side
-    low = 1.0 / (LONGEST_PERIOD_MM * px)
-    high = 1.0 / (SHORTEST_MM * px)
+    low = 1.0 / (0.9 * px)  # longest ridge period that is accepted
+    high = 1.0 / (0.25 * px)  # shortest ridge period that is accepted
     band = (radius > low - reach) & (radius < high + reach)
     x, y = (k.ravel()[band].astype(np.float32) for k in (kx, ky))
     power = power[:, band]
     accepted = (radius[band] > low) & (radius[band] < high) & (x >= 0)
     angle = 2.0 * (orientation[::2, ::2][wanted] + (0.5 * np.pi))[:, None]
-    toward = 2.0 * np.arctan2(-y, x)
-    across = 0.5 + 0.5 * (np.cos(angle) * np.cos(toward) + np.sin(angle) * np.sin(toward))
+    across = 0.5 + 0.5 * np.cos(angle - 2.0 * np.arctan2(-y, x))
     best = np.argmax(power * across * accepted, axis=1)[:, None]
     peak = np.where((np.abs(x - x[best]) < reach) & (np.abs(y - y[best]) < reach), power, 0.0)
     weight = np.maximum(peak.sum(axis=1), 1e-9)

@@ -10,14 +10,19 @@ import numpy as np
 from splitknit import preset_settings, read_capture
 from splitknit.errors import naming, require
 from splitknit.finger.ridges import ink
-from splitknit.imaging.polarised import without_films
 from splitknit.io.mesh import triangulate, write_ply
 from splitknit.model import Array, BoolArray, FloatArray, Progress
 from splitknit_match.prints.make import Print
-from splitknit_match.prints.parameters import NODES_MM, RINGS, SIDE_MM
 from splitknit_match.prints.print_map import PrintMap, resample, unrolled_map
 from splitknit_match.prints.sources import Source
-from splitknit_match.prints.unroll import SurfaceGrid, extrapolated, longest_run, unroll
+from splitknit_match.prints.unroll import (
+    NODES_MM,
+    RINGS,
+    SurfaceGrid,
+    extrapolated,
+    longest_run,
+    unroll,
+)
 from splitknit_match.rolled.chart import Chart
 from splitknit_match.rolled.finger import Rolled, rolled_finger
 from splitknit_match.rolled.views import find_mirror_views
@@ -39,7 +44,7 @@ def print_around(
     )
 
     def make() -> tuple[Source, Print, Rolled]:
-        capture = without_films(read_capture(path))
+        capture = read_capture(path)
         chosen = preset_settings(preset)
         progress("views", 0.08)
         views = find_mirror_views(capture, chosen, chosen.shape.mirror)
@@ -99,7 +104,8 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
     """Coverage and views: for ``report.json``."""
     chart = rolled.chart
     around = _coverage_deg(chart, rolled.blended.known, rolled.normals.astype(float))
-    rows = (chart.length_mm <= 0) & (chart.length_mm >= -SIDE_MM) & (around > 0)
+    # the first 14 mm below the tip's cap
+    rows = (chart.length_mm <= 0) & (chart.length_mm >= -14.0) & (around > 0)
     median = round(float(np.median(around[rows])), 1) if rows.any() else 0.0
     return {**rolled.facts, "coverage_deg": {"median": median}}
 

@@ -39,7 +39,7 @@ class Source:
     photo: FloatArray | None = None
     """(H, W) light of the skin, ridges bright; captures only."""
     specular: FloatArray | None = None
-    """(H, W) of polarised captures, see :class:`splitknit.model.Reconstruction`."""
+    """(H, W) of polarised captures, see :class:`splitknit.reconstruction.Reconstruction`."""
     preset: str | None = None
     hashes: Mapping[str, str] = field(default_factory=dict)
     subject: Mapping[str, Any] = field(default_factory=dict)
@@ -107,7 +107,7 @@ def read_source(
 def source_of(result: Reconstruction) -> Source:
     """What prints need of a reconstruction in memory. Raises BadInput where its scale is
     unknown."""
-    from splitknit.model import require_scale
+    from splitknit.reconstruction import require_scale
 
     require_scale(result)
     return Source(
@@ -177,7 +177,8 @@ def source_of_capture(
     """What prints need of a capture, see :func:`read_source`."""
     from splitknit import preset_settings, reconstruct
     from splitknit.finger.locate import find_finger
-    from splitknit.model import require_scale
+    from splitknit.observation.observe import observe
+    from splitknit.reconstruction import require_scale
 
     require_scale(capture.rig.camera)
     light = _photograph(capture) if photo else None
@@ -193,7 +194,7 @@ def source_of_capture(
             hashes=capture.hashes,
             subject=capture.subject,
         )
-    finger = find_finger(capture, preset_settings(preset))
+    finger = find_finger(observe(capture), preset_settings(preset))
     return Source(
         "capture",
         finger.mask,
@@ -210,15 +211,12 @@ def source_of_capture(
 def _photograph(capture: Capture) -> FloatArray:
     """(H, W) mean of the white images; of colours the blue one, which enters the skin least
     deeply."""
-    from splitknit.imaging.band import has_colour, linear_channels
-    from splitknit.imaging.polarised import without_films
+    from splitknit.observation.observe import observe
 
     require(
         "white" in capture.bands,
         "the capture has no band 'white', in which fingers are photographed.",
     )
-    band = without_films(capture).bands["white"]
-    channel = "blue" if has_colour(band) else "grey"
-    return np.asarray(
-        linear_channels(band, capture.encoding, [channel])[0].mean(axis=0), dtype=np.float32
-    )
+    white = observe(capture).without_films().white
+    light = white.stack[2] if white.has_colour else white.grey
+    return np.asarray(light.mean(axis=0), dtype=np.float32)

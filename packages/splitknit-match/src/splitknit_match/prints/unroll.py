@@ -11,6 +11,7 @@ outside the mask are extrapolated, so that maps can be read and inverted up to t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -19,20 +20,10 @@ from numpy.typing import NDArray
 
 from splitknit.checks import check_mask
 from splitknit.errors import require
-from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.pixels import bin_mean
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.prints.curvature import normal_matrices, windowed
-from splitknit_match.prints.parameters import (
-    CENTRE_WEIGHT,
-    FARTHEST_MM,
-    FINEST_MM,
-    FIT_WINDOW_MM,
-    ITERATIONS,
-    LONGEST_SURFACE_MM,
-    NODES_MM,
-    RINGS,
-)
 
 KINDS = ("free", "arc")
 _POWERS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
@@ -60,6 +51,12 @@ class SurfaceGrid:
         return np.asarray(np.isfinite(self.points_mm).all(axis=2))
 
 
+NODES_MM = 0.5  # distance of the nodes on the finger plane
+_FINEST_MM = 1e-3  # smallest pitch of a surface that is laid flat
+_LONGEST_SURFACE_MM = 200.0  # length of a surface that can be a finger's
+RINGS = 3  # rings of nodes outside the mask that are extrapolated
+
+
 def surface_grid(
     shape_mm: FloatArray,
     mask: BoolArray,
@@ -79,12 +76,13 @@ def surface_grid(
     distance of the nodes. The upright frame has `upright_size` rows and columns.
     """
     require(
-        FINEST_MM <= pitch_mm < LONGEST_SURFACE_MM,
-        f"pitch_mm must be a number from {FINEST_MM:g} to {LONGEST_SURFACE_MM:g}, not {pitch_mm}.",
+        _FINEST_MM <= pitch_mm < _LONGEST_SURFACE_MM,
+        f"pitch_mm must be a number from {_FINEST_MM:g} to {_LONGEST_SURFACE_MM:g}, not"
+        f" {pitch_mm}.",
     )
     mask = check_mask(mask, shape_mm.shape)
     fields = [shape_mm, *(xy_mm or ())]
-    mask = mask & (np.abs(fields) < FARTHEST_MM).all(axis=0)  # nor where it is NaN
+    mask = mask & (np.abs(fields) < 1e6).all(axis=0)  # no coordinate of a finger, and no NaN
     require(
         mask.any(),
         "the surface has no finite height inside its mask; reconstruct the capture again.",
@@ -100,7 +98,7 @@ def surface_grid(
     high = np.minimum(places.max(axis=0) + 4.0, np.array(upright_size[::-1]) - 1 + beyond)
     longest = float((high - low).max()) * pitch_mm
     require(
-        longest < LONGEST_SURFACE_MM,
+        longest < _LONGEST_SURFACE_MM,
         f"the surface is {longest:.0f} mm long, more than any finger; check its scale.",
     )
     margin = (RINGS + 1) * step
@@ -129,34 +127,24 @@ def moved(matrix: FloatArray, points: NDArray[Any]) -> Array:
     return np.asarray(points @ matrix[:2, :2].T + matrix[:2, 2])
 
 
-def slant_cos(points: Array) -> Array:
-    """(n, m) cosine of the slant at the nodes, by central differences; 1 where unknown."""
-    down, right = np.gradient(points, axis=(0, 1))
-    normal = np.cross(right, -down)
-    cosine = np.abs(normal[..., 2]) / np.maximum(np.linalg.norm(normal, axis=2), 1e-12)
-    return np.asarray(np.nan_to_num(cosine, nan=1.0))
-
-
 def extrapolated(values: Array, rings: int) -> Array:
     """Continue (n, m, C) straight on into its NaN nodes, `rings` nodes far: the mean over the
     directions that can."""
-    result = values.copy()
-    directions = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
+    steps = [step for step in product((-1, 0, 1), repeat=2) if any(step)]
+    result = values
     for _ in range(rings):
-        total = np.zeros_like(result)
-        count = np.zeros((*result.shape[:2], 1))
         wide = np.pad(result, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
-        n, m = result.shape[:2]
-        for dy, dx in directions:
-            near = wide[2 + dy : 2 + dy + n, 2 + dx : 2 + dx + m]
-            far = wide[2 + 2 * dy : 2 + 2 * dy + n, 2 + 2 * dx : 2 + 2 * dx + m]
-            guess = 2.0 * near - far
-            usable = np.isfinite(guess).all(axis=2, keepdims=True)
-            weight = 1.0 if dy == 0 or dx == 0 else 0.5
-            total += np.where(usable, weight * guess, 0.0)
-            count += weight * usable
-        new = ~np.isfinite(result).all(axis=2) & (count[..., 0] > 0)
-        result[new] = total[new] / count[new]
+        guesses = np.stack(
+            [
+                2.0 * np.roll(wide, (y, x), (0, 1)) - np.roll(wide, (2 * y, 2 * x), (0, 1))
+                for y, x in steps
+            ]
+        )[:, 2:-2, 2:-2]
+        weights = np.array([1.0 if 0 in step else 0.5 for step in steps])[:, None, None, None]
+        weights = weights * np.isfinite(guesses).all(axis=3, keepdims=True)
+        total = np.where(weights > 0, weights * guesses, 0.0).sum(axis=0)
+        new = ~np.isfinite(result).all(axis=2, keepdims=True) & (weights.sum(axis=0) > 0)
+        result = np.where(new, total / np.maximum(weights.sum(axis=0), 0.5), result)
     return result
 
 
@@ -174,7 +162,7 @@ def _fits(
     require(min(inside.shape) >= factor, _TOO_SMALL)
     # whole blocks only: no shifted means
     weight = bin_mean(inside.astype(np.float32), factor) > 0.99
-    sigma = FIT_WINDOW_MM / (pitch_mm * factor)
+    sigma = 0.3 / (pitch_mm * factor)  # standard deviation of the Gaussian window of the local fits
     reach = int(np.ceil(3.0 * sigma))
     offset = np.arange(-reach, reach + 1) / sigma
     window = np.exp(-0.5 * offset**2)
@@ -233,10 +221,8 @@ def distortion(points_mm: Array, flat_mm: Array, inside: BoolArray) -> dict[str,
     stretches = np.linalg.svd(jacobian[cell] @ np.linalg.pinv(skin), compute_uv=False)
     worst = np.abs(stretches[:, :2] - 1.0).max(axis=1)
     area = np.linalg.norm(np.cross(skin[..., 0], skin[..., 1]), axis=1)
-    order = np.argsort(worst)
-    total = np.cumsum(area[order])
-    at = np.minimum(np.searchsorted(total, np.array([0.5, 0.95]) * total[-1]), worst.size - 1)
-    median, p95 = (100.0 * worst[order][at]).round(3).tolist()
+    halves = np.quantile(100.0 * worst, [0.5, 0.95], weights=area, method="inverted_cdf")
+    median, p95 = halves.round(3).tolist()
     return {"length_median_percent": median, "length_p95_percent": p95}
 
 
@@ -256,14 +242,12 @@ def _derivatives(values: Array) -> Array:
 # Nonparametric unrolling: distances along the skin, laid flat.
 #
 # First each cross-section is measured along the skin from the finger's central line, and the
-# central line along itself
-# (`arc`). On a doubly curved tip that stretches what lies beside the line; so the sheet is then
-# relaxed until every
-# small triangle is as nearly its true size and shape as the others allow (`free`).
+# central line along itself (`arc`). On a doubly curved tip that stretches what lies beside the
+# line; so the sheet is then relaxed until every small triangle is as nearly its true size and shape
+# as the others allow (`free`).
 #
 # Source: L. Liu, L. Zhang, Y. Xu, C. Gotsman and S. Gortler 2008, A local/global approach to mesh
-# parameterization,
-# eqs. 5-8 (as-rigid-as-possible).
+# parameterization, eqs. 5-8 (as-rigid-as-possible).
 
 
 def _arc_lengths(grid: SurfaceGrid) -> Array:
@@ -358,7 +342,7 @@ def _relaxed(grid: SurfaceGrid, start: Array, centre_weight: float) -> Array:
         options={"SymmetricMode": True},
     )  # fmt: skip
     pull = laplacian[free][:, [pinned]].toarray() * flat[[pinned]]
-    for _ in range(ITERATIONS):
+    for _ in range(10):  # at most
         turn = back @ plane  # of each triangle, as fits the nodes best
         turn /= np.maximum(np.abs(turn), 1e-12)
         right = (edges @ turn).view(float).reshape(-1, 2)
@@ -424,7 +408,14 @@ class Unrolled:
     distortion: dict[str, float]
 
 
-def unroll(grid: SurfaceGrid, kind: str = "free", centre_weight: float = CENTRE_WEIGHT) -> Unrolled:
+_CENTRE_WEIGHT = 4.0
+"""Weight of the skin as a power of the cosine of its slant: 0 spreads the distortion evenly, larger
+values keep the middle undistorted at the cost of the sides."""
+
+
+def unroll(
+    grid: SurfaceGrid, kind: str = "free", centre_weight: float = _CENTRE_WEIGHT
+) -> Unrolled:
     """Lay a surface flat, by one of :data:`KINDS`. Raises BadInput if there is too little surface.
 
     `grid`: from :func:`surface_grid`.

@@ -14,6 +14,7 @@ from splitknit.arguments import (
     Progress,
     Report,
     ResolutionPpi,
+    Ridges,
     checked,
     count,
     refuse_given,
@@ -109,6 +110,7 @@ def print_finger(
     px_per_mm: Annotated[float, Limits(1e-3, 1e5)] | None = None,
     ridge_period_mm: Annotated[float | None, Parameter("--ridge-period")] = None,
     resolution_ppi: ResolutionPpi = None,
+    ridges: Ridges = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     preset: Preset = "metric",
@@ -200,6 +202,7 @@ def print_finger(
             ppi=fine,
             ridge_period_mm=ridge_period_mm,
             resolution_ppi=resolution_ppi,
+            ridges=ridges,
         )
         method, surface = "photo", "arc"
     method = method or "unroll"
@@ -207,7 +210,7 @@ def print_finger(
     check_target(target, "map.npz", "an earlier print", keep=path)
     around = None
     if place == "paper":
-        source, printed = folder.print_of_file(path, resolution_ppi)
+        source, printed = folder.print_of_file(path, resolution_ppi, ridges)
     elif method == "rolled":
         from splitknit_match.prints.rolled import print_around  # slow to import
 
@@ -257,6 +260,7 @@ def export(
     owner: Annotated[int, Limits(1, 65535), Parameter(converter=_owner, n_tokens=1)] = 0x0103,
     minutiae: Literal["phase", "mindtct"] = "phase",
     resolution_ppi: ResolutionPpi = None,
+    ridges: Ridges = None,
     preset: Preset = "metric",
     base_mm: Annotated[float | None, Limits(0, 1000, above=True), Parameter("--base")] = None,
     normals: Literal["opengl", "directx"] = "opengl",
@@ -336,6 +340,7 @@ def export(
             owner=owner,
             minutiae=minutiae,
             resolution_ppi=resolution_ppi,
+            ridges=ridges,
             preset=preset,
             progress=progress,
         )
@@ -343,7 +348,11 @@ def export(
 
 
 def import_prints(
-    files: Sequence[AnyPath], out: AnyPath, resolution_ppi: float | None, progress: Progress
+    files: Sequence[AnyPath],
+    out: AnyPath,
+    resolution_ppi: float | None,
+    ridges: str | None,
+    progress: Progress,
 ) -> Report:
     """Write prints of other systems as PNG, their minutiae as ISO/IEC 19794-2: a part of
     ``splitknit import``.
@@ -354,9 +363,14 @@ def import_prints(
 
     places = [Path(file) for file in files]
     for file in places:
-        cure = f"photographs of a folder are imported by `images` {file} `lights` FILE"
-        require(not file.is_dir(), f"'{file}' is a folder; {cure}.")
-    facts = export_records(places, Path(out), resolution_ppi=resolution_ppi, progress=progress)
+        require(
+            not file.is_dir(),
+            f"'{file}' is a folder; photographs of a folder are imported by `images` {file}"
+            " `lights` FILE.",
+        )
+    facts = export_records(
+        places, Path(out), resolution_ppi=resolution_ppi, ridges=ridges, progress=progress
+    )
     return Report(facts, tuple(_export_lines(facts)))
 
 

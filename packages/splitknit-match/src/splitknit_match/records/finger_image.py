@@ -13,16 +13,16 @@ import numpy as np
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.io.images import decode_image
-from splitknit.io.prints import PrintFile, decode_jpeg2000, encode_jpeg2000, encode_print_png
+from splitknit.io.prints import PrintFile, encode_print_png
 from splitknit.model import GreyArray
 from splitknit_match.records.fmr_bytes import Cursor, check_length
+from splitknit_match.records.jpeg2000_image import decode_jpeg2000, encode_jpeg2000
 from splitknit_match.records.minutiae_record import (
     ANSI_2004_IMPRESSIONS,
     FINGER_CODES,
     name_of,
     standard_code,
 )
-from splitknit_match.records.parameters import MAX_IMAGES, MAX_PIXELS
 from splitknit_match.records.wsq_image import decode_wsq, encode_wsq
 
 MAGIC = b"FIR\0"
@@ -83,6 +83,10 @@ def encode_finger_image(item: PrintFile, compression: str = "none") -> bytes:
     return MAGIC + _V2005 + (_HEADER_BYTES + len(view)).to_bytes(6, "big") + parameters + view
 
 
+MAX_PIXELS = 64_000_000  # of all images of a file together
+_MAX_IMAGES = 1000  # of a file
+
+
 def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
     """Read the images of a record of ISO/IEC 19794-4:2005.
 
@@ -113,7 +117,7 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
     compression = compression_of(code, {number: words for words, number in _CODES.items()}, name)
     prints: list[PrintFile] = []
     left = MAX_PIXELS
-    while cursor.place < len(data) and len(prints) < MAX_IMAGES:
+    while cursor.place < len(data) and len(prints) < _MAX_IMAGES:
         what = f"image {len(prints) + 1}"
         length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(
             _VIEW, f"the header of {what}"
@@ -128,7 +132,7 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
         left -= image.size
         position = name_of(finger, FINGER_CODES, f"finger position of {where}")
         prints.append(PrintFile(image, ppi, {}, position, impression_of(impression, _IMPRESSIONS)))
-    more = f"{name} is damaged: it holds no image, or more than {MAX_IMAGES}."
+    more = f"{name} is damaged: it holds no image, or more than {_MAX_IMAGES}."
     require(prints and cursor.place == len(data), more)
     return tuple(prints)
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from splitknit.errors import require
-from splitknit_match.records.parameters import ENVELOPE_BYTES
 
 
 @dataclass(slots=True)
@@ -114,6 +113,6 @@ def what_bytes_are(
         return known
     if data[:4] == b"FMR\0":
         return f"a minutiae record of an unknown version {data[4:8]!r}"
-    at = data.find(b"FMR\0", 1, ENVELOPE_BYTES)
+    at = data.find(b"FMR\0", 1, 4096)
     inner = f"an envelope (CBEFF?) with a minutiae record inside, {at} bytes from its beginning"
     return inner if at > 0 else otherwise

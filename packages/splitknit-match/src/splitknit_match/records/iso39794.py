@@ -17,6 +17,7 @@ from splitknit import BadInput
 from splitknit.errors import importing, refusing, require
 from splitknit.io.prints import PrintFile
 from splitknit_match.records.finger_image import (
+    MAX_PIXELS,
     compression_of,
     decode_print,
     encode_print,
@@ -29,7 +30,6 @@ from splitknit_match.records.minutiae_record import (
     name_of,
     standard_code,
 )
-from splitknit_match.records.parameters import MAX_PIXELS
 
 TAG = b"\x64"
 """First byte: application tag 4, constructed."""

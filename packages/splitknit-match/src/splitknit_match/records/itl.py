@@ -17,9 +17,14 @@ from splitknit import BadInput
 from splitknit.errors import naming, require
 from splitknit.findings import Finding
 from splitknit.io.prints import PrintFile
-from splitknit_match.records.finger_image import compression_of, decode_print, impression_of, ppi_of
+from splitknit_match.records.finger_image import (
+    MAX_PIXELS,
+    compression_of,
+    decode_print,
+    impression_of,
+    ppi_of,
+)
 from splitknit_match.records.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, name_of
-from splitknit_match.records.parameters import MAX_PIXELS, MAX_PPI, MAX_RECORDS
 
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
 _TAG = re.compile(rb"[0-9]{1,2}\.([0-9]{1,9}):")
@@ -27,30 +32,6 @@ _RECORD_END, _FIELD_END, _ITEM_END, _PART_END = b"\x1c", b"\x1d", b"\x1e", b"\x1
 _BINARY = (3, 4, 5, 6, 7, 8)
 """Types whose records begin with their length in four bytes; which they are, only 1.003 states.
 Source: ANSI/NIST-ITL 1."""
-_CONTENT = 3
-"""Field of Type-1: the types of all records. Source: ANSI/NIST-ITL 1."""
-_NATIVE_RESOLUTION = 11
-"""Field of Type-1: the resolution of binary records. Source: ANSI/NIST-ITL 1."""
-_IMPRESSION = 3
-"""Field of Type-13 and -14: impression type. Source: ANSI/NIST-ITL 1."""
-_COLUMNS = 6
-"""Field of Type-13 and -14: pixels in a row. Source: ANSI/NIST-ITL 1."""
-_ROWS = 7
-"""Field of Type-13 and -14: rows. Source: ANSI/NIST-ITL 1."""
-_UNIT = 8
-"""Field of Type-13 and -14: unit of the resolution. Source: ANSI/NIST-ITL 1."""
-_PPI_X = 9
-"""Field of Type-13 and -14: resolution along a row. Source: ANSI/NIST-ITL 1."""
-_PPI_Y = 10
-"""Field of Type-13 and -14: resolution along a column. Source: ANSI/NIST-ITL 1."""
-_COMPRESSION = 11
-"""Field of Type-13 and -14: compression. Source: ANSI/NIST-ITL 1."""
-_BITS = 12
-"""Field of Type-13 and -14: bits of a pixel. Source: ANSI/NIST-ITL 1."""
-_FINGER = 13
-"""Field of Type-13 and -14: finger position. Source: ANSI/NIST-ITL 1."""
-_IMAGE = 999
-"""Field of Type-13 and -14: the image, the last field. Source: ANSI/NIST-ITL 1."""
 _COMPRESSIONS = {"NONE": "none", "WSQ20": "wsq", "PNG": "png", "JP2L": "jp2", "JP2": "jp2"}
 _LATENT = Finding(
     "latent-print",
@@ -89,6 +70,9 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> tuple[Prin
     return tuple(prints)
 
 
+_MAX_RECORDS = 1000  # of a transaction
+
+
 def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
     """Type and bytes of each record, by the lengths that they state."""
     fault = (
@@ -98,10 +82,10 @@ def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
     require(_START.match(data) is not None, fault)
     kinds: list[int] = []
     place = 0
-    for count in range(MAX_RECORDS + 1):
+    for count in range(_MAX_RECORDS + 1):
         if place >= len(data):
             return
-        require(count < MAX_RECORDS, f"{name} has more than {MAX_RECORDS} records; split it.")
+        require(count < _MAX_RECORDS, f"{name} has more than {_MAX_RECORDS} records; split it.")
         start = _START.match(data, place)
         kind = kinds[count] if count < len(kinds) else 0
         binary = kind in _BINARY
@@ -123,24 +107,27 @@ def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
             f"{name} must begin with its only Type-1 record; it is damaged.",
         )
         rest = len(data) - place
-        fault = f"its Type-{kind} record has {length} bytes, but {rest} are left; copy it again."
-        require(least <= length <= rest, f"{name} is truncated: {fault}")
+        require(
+            least <= length <= rest,
+            f"{name} is truncated: its Type-{kind} record has {length} bytes, but {rest} are left;"
+            " copy it again.",
+        )
         record = data[place : place + length]
-        fault = "does not end where its length field has it; copy it again."
         require(
             binary or record.endswith(_RECORD_END),
-            f"{name} is damaged: its Type-{kind} record {fault}",
+            f"{name} is damaged: its Type-{kind} record does not end where its length field has"
+            " it; copy it again.",
         )
         if kind == 1:
-            content = _fields(record).get(_CONTENT, b"").split(_ITEM_END)
-            types = [item.split(_PART_END)[0] for item in content[: MAX_RECORDS + 1]]
+            content = _fields(record).get(3, b"").split(_ITEM_END)  # the types of all records
+            types = [item.split(_PART_END)[0] for item in content[: _MAX_RECORDS + 1]]
             kinds = [int(text) if text.isdigit() and len(text) <= 2 else 0 for text in types]
         yield kind, record
         place += length
 
 
 def _fields(record: bytes) -> dict[int, bytes]:
-    """Contents of a tagged record's fields by their numbers; the image is the last."""
+    """Contents of a tagged record's fields by their numbers; the image is the last, 999."""
     fields: dict[int, bytes] = {}
     place, end = 0, len(record) - len(_RECORD_END)
     while place < end:
@@ -148,7 +135,7 @@ def _fields(record: bytes) -> dict[int, bytes]:
         if tag is None:
             break
         number = int(tag[1])
-        stop = end if number == _IMAGE else record.find(_FIELD_END, place)
+        stop = end if number == 999 else record.find(_FIELD_END, place)
         stop = end if stop < 0 else stop
         fields[number] = record[tag.end() : stop]
         place = stop + 1
@@ -156,21 +143,23 @@ def _fields(record: bytes) -> dict[int, bytes]:
 
 
 def _type14(fields: _Fields, left: int, name: str, findings: tuple[Finding, ...]) -> PrintFile:
-    compression = _text(fields, _COMPRESSION, name)
+    """The print of a record: field 11 is its compression, 12 its bits a pixel, 999 the image."""
+    compression = _text(fields, 11, name)
     read = ", ".join(_COMPRESSIONS)
     require(
         compression in _COMPRESSIONS,
         f"{name} is compressed as {compression[:20]!a}; {read} are read: convert it.",
     )
-    require(_number(fields, _BITS, name) == 8, f"{name} is not 8-bit grey; convert it.")
-    require(fields.get(_IMAGE), f"{name} holds no image (field {_IMAGE}).")
+    require(_number(fields, 12, name) == 8, f"{name} is not 8-bit grey; convert it.")
+    require(fields.get(999), f"{name} holds no image (field 999).")
     unit, x, y, rows, columns, position, code = (
+        # unit, resolution along rows and columns, rows, columns, finger, impression type
         _number(fields, field, name)
-        for field in (_UNIT, _PPI_X, _PPI_Y, _ROWS, _COLUMNS, _FINGER, _IMPRESSION)
+        for field in (8, 9, 10, 7, 6, 13, 3)
     )
     ppi = ppi_of(unit, x, y, name)
     image = decode_print(
-        fields[_IMAGE], _COMPRESSIONS[compression], name, size=(rows, columns), limit=left
+        fields[999], _COMPRESSIONS[compression], name, size=(rows, columns), limit=left
     )
     finger = naming(name, lambda: name_of(position, FINGER_CODES, "finger position"))
     impression = naming(name, lambda: name_of(code, ITL_IMPRESSIONS, "impression type"))
@@ -185,7 +174,7 @@ def _type4(record: bytes, first: _Fields, left: int, name: str) -> list[PrintFil
         return []  # plain impressions of several fingers, and of thumbs beside them
     ppi = 500.0
     if scale != 0:
-        text = first.get(_NATIVE_RESOLUTION, b"").decode("ascii", "replace")
+        text = first.get(11, b"").decode("ascii", "replace")
         require(
             re.fullmatch(r"[0-9]{1,3}\.[0-9]{1,2}", text) is not None,
             f"{name} states no resolution (1.011).",
@@ -197,6 +186,9 @@ def _type4(record: bytes, first: _Fields, left: int, name: str) -> list[PrintFil
     return [_checked(PrintFile(image, ppi, {}, finger, impression_of(code, ITL_IMPRESSIONS)), name)]
 
 
+_MAX_PPI = 5080.0  # highest resolution of a print
+
+
 def _checked(item: PrintFile, name: str) -> PrintFile:
     """Refuse a picture that is no print."""
     rows, columns = item.image.shape
@@ -206,10 +198,10 @@ def _checked(item: PrintFile, name: str) -> PrintFile:
     )
     ppi = item.resolution_ppi or 0.0
     fault = (
-        f"{name}: a print of a transaction has {_MIN_PPI:g} to {MAX_PPI:g} ppi, not {ppi:g};"
+        f"{name}: a print of a transaction has {_MIN_PPI:g} to {_MAX_PPI:g} ppi, not {ppi:g};"
         " resample it."
     )
-    require(_MIN_PPI <= ppi <= MAX_PPI, fault)
+    require(_MIN_PPI <= ppi <= _MAX_PPI, fault)
     return item
 
 

@@ -40,7 +40,6 @@ from splitknit_match.records.minutiae_record import (
     name_of,
     standard_code,
 )
-from splitknit_match.records.parameters import MAX_RECORD_BYTES
 
 _MIN_RESOLUTION = 99
 """Least resolution in pixels per cm. Source: ISO/IEC 19794-2:2005 (250 ppi)."""
@@ -138,14 +137,11 @@ def decode_minutiae_record(data: bytes, name: str = "the record") -> tuple[Finge
         cursor.unpack(_DEVICE, what)
     else:
         _, *image = cursor.unpack(_IMAGE, what)
-        fault = (
-            f"{name}: the resolution is {image[2]} x {image[3]} pixels per cm, but {standard}"
-            " requires"
-        )
         sound = standard != ISO_2005 or min(image[2:]) >= _MIN_RESOLUTION
         require(
             sound,
-            f"{fault} {_MIN_RESOLUTION} at least; its producer does not keep to the standard.",
+            f"{name}: the resolution is {image[2]} x {image[3]} pixels per cm, but {standard}"
+            f" requires {_MIN_RESOLUTION} at least; its producer does not keep to the standard.",
         )
     count, reserved = cursor.unpack(_COUNTS, what)
     check_length(data, length, name)
@@ -167,6 +163,10 @@ def decode_minutiae_record(data: bytes, name: str = "the record") -> tuple[Finge
         f"{name} holds {rest} bytes behind its {count} views; its counts or lengths do not fit.",
     )
     return views
+
+
+MAX_RECORD_BYTES = 20_000_000
+"""Longest record of minutiae: 176 full views with full extended data take 12 MB."""
 
 
 def read_minutiae_record(path: str | os.PathLike[str]) -> tuple[FingerView, ...]:

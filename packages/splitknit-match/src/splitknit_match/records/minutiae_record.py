@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
 import numpy as np
@@ -111,13 +111,18 @@ BIFURCATION = 2
 """Type of a minutia at which a ridge forks; all the standards share these codes, 0 is any other.
 Source: ISO/IEC 19794-2:2005."""
 MIN_MINUTIAE = 10
-"""Fewest minutiae that are compared; what has fewer is a failure to acquire. Source: NBIS, bozorth3
-(MIN_COMPUTABLE_BOZORTH_MINUTIAE)."""
+"""Fewest minutiae that are compared; what has fewer is a failure to acquire. Source: NBIS."""
 VENDOR_UNKNOWN = 0x0103
 """IBIA's number for a producer that has not registered. Source: IBIA."""
 RESOLUTION_500_PPI = (197, 197)
 """500 pixels per inch in pixels per centimetre, rounded as the standards' whole numbers require.
 Source: derived."""
+
+
+KINDS = ("print", "photo", "scaled photo", "surface", "contactless")
+"""What a finger's template or minutiae were made of, by the numbers that templates keep: a print of
+its contact; a photograph whose scale was assumed; one of known scale; a reconstruction; a print of
+a reconstruction or a capture, which nothing touched. Source: definition of templates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,6 +147,8 @@ class Minutiae:
     """(N,) 0 to 100."""
     size: tuple[int, int]
     """(rows, columns) of the image."""
+    kind: str = field(default="print", kw_only=True)
+    """What they were found in, one of :data:`KINDS`."""
     largest_px: ClassVar[int] = 8192
     """Side of the image, at 500 ppi."""
 

@@ -17,13 +17,12 @@ from splitknit.io.prints import PrintFile, decode_print_image, encode_print_png,
 from splitknit_match.records import finger_image, iso39794
 from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005, what_bytes_are
 from splitknit_match.records.itl import decode_transaction
-from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record
-from splitknit_match.records.minutiae_record import VENDOR_UNKNOWN, FingerView
-from splitknit_match.records.parameters import (
-    MAX_IMAGE_RECORD_BYTES,
+from splitknit_match.records.minutiae_files import (
     MAX_RECORD_BYTES,
-    MAX_WSQ_BYTES,
+    decode_minutiae_record,
+    encode_minutiae_record,
 )
+from splitknit_match.records.minutiae_record import VENDOR_UNKNOWN, FingerView
 from splitknit_match.records.wsq_image import SIGNATURE, decode_wsq, encode_wsq
 
 WSQ_PPI = 500.0
@@ -129,6 +128,7 @@ def _minutiae(name: str, suffix: str, words: str, standard: str) -> PrintFormat:
     )
 
 
+_MAX_IMAGE_RECORD_BYTES = 200_000_000
 _ALL = (
     PrintFormat(
         "png",
@@ -158,7 +158,7 @@ _ALL = (
         (SIGNATURE,),
         _from_wsq,
         lambda item, how: encode_wsq(item.image, _ppi(item)),
-        MAX_WSQ_BYTES,
+        100_000_000,  # bytes
     ),
     PrintFormat(
         "iso-19794-4",
@@ -168,7 +168,7 @@ _ALL = (
         (finger_image.MAGIC,),
         finger_image.decode_finger_images,
         lambda item, how: finger_image.encode_finger_image(item, how.compression),
-        MAX_IMAGE_RECORD_BYTES,
+        _MAX_IMAGE_RECORD_BYTES,
     ),
     PrintFormat(
         "iso-39794-4",
@@ -180,7 +180,7 @@ _ALL = (
         lambda item, how: iso39794.encode_finger_image_block(
             item, how.compression, quality=how.quality, owner=how.owner
         ),
-        MAX_IMAGE_RECORD_BYTES,
+        _MAX_IMAGE_RECORD_BYTES,
     ),
     PrintFormat(
         "ansi-nist-itl",
@@ -190,7 +190,7 @@ _ALL = (
         (b"1.001:", b"1.01:", b"1.1:"),
         decode_transaction,
         None,
-        MAX_IMAGE_RECORD_BYTES,
+        _MAX_IMAGE_RECORD_BYTES,
     ),
     _minutiae("iso-19794-2", ".iso", "ISO/IEC 19794-2", ISO_2005),
     _minutiae("ansi-378", ".fmr", "ANSI/INCITS 378", ANSI_2004),

@@ -16,24 +16,16 @@ from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.files import read_bytes
 from splitknit.io.atomic import write_file
-from splitknit_match.records.parameters import LARGEST_TEMPLATE_BYTES
 
 MAGIC = b"SKTMPL\r\n"
 _HEAD = struct.Struct("<8sHHI32s")
 HEADER_BYTES = _HEAD.size
+_LARGEST_TEMPLATE_BYTES = 16_000_000
 
 
 def encode_template(payload: bytes, version: int) -> bytes:
     """Content of a template file: header and `payload`, of `version` (0 to 65535); nothing for an
     empty payload."""
-    require(
-        0 <= version <= 65535,
-        f"a template's version must lie between 0 and 65535, but it is {version}.",
-    )
-    require(
-        len(payload) <= LARGEST_TEMPLATE_BYTES,
-        f"a template of {len(payload)} bytes is larger than any finger's.",
-    )
     if not payload:
         return b""
     return _HEAD.pack(MAGIC, version, 0, len(payload), hashlib.sha256(payload).digest()) + payload
@@ -59,31 +51,18 @@ def decode_template(data: bytes, version: int, name: str = "the template") -> by
         f"{name} is not a template of splitknit (it does not begin with 'SKTMPL'); name a .skt"
         " file.",
     )
-    require(
-        len(data) >= HEADER_BYTES,
-        f"{name} ends after {len(data)} bytes, within its header of {HEADER_BYTES}; {remedy}.",
-    )
+    require(len(data) >= HEADER_BYTES, f"{name} ends within its header; {remedy}.")
     _, own, reserved, size, digest = _HEAD.unpack_from(data)
     require(
         own == version,
         f"{name} is a template of version {own}, but this program reads version {version};"
         f" {remedy}.",
     )
-    require(reserved == 0, f"{name} has a damaged header; {remedy}.")
     payload = data[HEADER_BYTES:]
+    sound = reserved == 0 and len(payload) == size > 0
     require(
-        len(payload) == size,
-        f"{name} holds {len(payload)} bytes after its header, but the header states {size};"
-        f" {remedy}.",
-    )
-    require(
-        hashlib.sha256(payload).digest() == digest,
-        f"{name} is damaged (its hash does not fit); {remedy}.",
-    )
-    require(
-        size > 0,
-        f"{name} has a header but no content; {remedy}, or leave a failure to acquire a file of 0"
-        " bytes.",
+        sound and hashlib.sha256(payload).digest() == digest,
+        f"{name} is damaged: its content does not fit its header; {remedy}.",
     )
     return payload
 
@@ -91,7 +70,7 @@ def decode_template(data: bytes, version: int, name: str = "the template") -> by
 def read_template(path: str | os.PathLike[str], version: int) -> bytes:
     """Payload of a template file; BadInput if it cannot be read, or as :func:`decode_template`."""
     return decode_template(
-        read_bytes(path, LARGEST_TEMPLATE_BYTES + HEADER_BYTES), version, os.fspath(path)
+        read_bytes(path, _LARGEST_TEMPLATE_BYTES + HEADER_BYTES), version, os.fspath(path)
     )
 
 

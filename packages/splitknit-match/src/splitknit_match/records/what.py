@@ -7,7 +7,6 @@ from typing import Any
 
 from splitknit.arguments import AnyPath, Report, count
 from splitknit.errors import BadInput
-from splitknit_match.records.parameters import WHAT_BYTES
 
 
 def what(file: AnyPath) -> Report:
@@ -41,7 +40,7 @@ def what(file: AnyPath) -> Report:
 
     path = Path(file)
     with open_file(path, 1 << 50) as (stream, size):
-        first = stream.read(WHAT_BYTES)
+        first = stream.read(4096)
     form = next((known for known in FORMATS.values() if first.startswith(known.starts)), None)
     kind = standard_of(first) or (
         form.words if form else what_bytes_are(first, "of an unknown kind")

@@ -27,16 +27,6 @@ from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.io.prints import PrintFile
 from splitknit.model import GreyArray
-from splitknit_match.records.parameters import (
-    CODEC_BYTES,
-    CODEC_BYTES_PER_PIXEL,
-    CODEC_PIXELS_PER_S,
-    CODEC_S,
-    LARGEST_SIDE_PX,
-    MAX_WSQ_PIXELS,
-    TIMEOUT_S,
-    WSQ_SIDE_PX,
-)
 
 BIT_RATE = 0.75
 """Bits a pixel that the encoder aims at; files come out smaller, about 1/15 of the pixels' bytes.
@@ -59,6 +49,10 @@ else:
     pixels, columns, rows, _ = _wsq.decompress(data)
     sys.stdout.buffer.write(rows.to_bytes(4) + columns.to_bytes(4) + pixels)
 """
+_WSQ_SIDE_PX = 96
+"""Smallest side of a picture that is coded, for five levels of wavelets: images below 81 pixels
+come back in another brightness, below 65 as garbage. Chosen on: judgement. Range: 81 or more."""
+_LARGEST_SIDE_PX = 5000  # largest side of a picture that is coded
 
 
 def encode_wsq(image: GreyArray, ppi: float = 500.0) -> bytes:
@@ -72,8 +66,8 @@ def encode_wsq(image: GreyArray, ppi: float = 500.0) -> bytes:
         f"a print must be (H, W) uint8, not {array.shape} {array.dtype}.",
     )
     require(
-        min(array.shape) >= WSQ_SIDE_PX and max(array.shape) <= LARGEST_SIDE_PX,
-        f"WSQ takes images of {WSQ_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not"
+        min(array.shape) >= _WSQ_SIDE_PX and max(array.shape) <= _LARGEST_SIDE_PX,
+        f"WSQ takes images of {_WSQ_SIDE_PX} to {_LARGEST_SIDE_PX} pixels each way, not"
         f" {array.shape[0]} x {array.shape[1]}; pad or crop the print, or write PNG.",
     )
     require(
@@ -103,6 +97,15 @@ def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
     return PrintFile(pixels.copy(), None if ppi is None else float(ppi), {})
 
 
+TIMEOUT_S = 60.0  # how long the codec may take
+_CODEC_BYTES = 200_000_000
+"""Memory of the codec's process, beside that of the pixels: Python and the file take 13 MB."""
+CODEC_S = 2  # time of a processor that the codec may take, beside that of the pixels
+_CODEC_PIXELS_PER_S = 1_000_000
+"""Pixels in a second that the codec is expected to decode at least; a desktop's core decodes 18
+million."""
+
+
 def _run(task: str, pixels: int, data: bytes) -> bytes | None:
     """Return what the package makes of the bytes in a process of its own; None if it failed or
     ended."""
@@ -111,9 +114,10 @@ def _run(task: str, pixels: int, data: bytes) -> bytes | None:
         raise BadInput(
             "WSQ needs the package wsq: pip install 'splitknit-match[records]'; or write PNG."
         )
+    # the codec takes 10 bytes for each pixel
     limits = (
-        CODEC_BYTES + CODEC_BYTES_PER_PIXEL * pixels + 4 * len(data),
-        CODEC_S + pixels // CODEC_PIXELS_PER_S,
+        _CODEC_BYTES + 30 * pixels + 4 * len(data),
+        CODEC_S + pixels // _CODEC_PIXELS_PER_S,
     )
     try:
         done = subprocess.run(
@@ -148,19 +152,18 @@ def _run(task: str, pixels: int, data: bytes) -> bytes | None:
 
 
 # What is checked before the decoder sees a file. WSQ has no checksums: a changed byte inside the
-# image data cannot be
-# distinguished from a picture. Inside them 0xFF is followed by 0, so that markers are found by
-# searching.
+# image data cannot be distinguished from a picture. Inside them 0xFF is followed by 0, so that
+# markers are found by searching.
 #
 # Source: FBI IAFIS-IC-0110 (V3.1), WSQ Gray-Scale Fingerprint Image Compression Specification,
-# 2010: markers and
-# segments.
+# 2010: markers and segments.
 
 SIGNATURE = b"\xff\xa0"
 _FRAME, _BLOCK, _END = b"\xff\xa2\x00\x11", b"\xff\xa3", b"\xff\xa1"
 """Markers: of the frame, with its length, of the image data, and of the end."""
 _SIZE = struct.Struct(">6xHH")
 _PPI_LINE = re.compile(rb"\nPPI ([0-9]{1,5})(?=\n)")
+_MAX_WSQ_PIXELS = 25_000_000
 
 
 def _wsq_header(data: bytes, name: str) -> tuple[int, int, int | None]:
@@ -175,7 +178,7 @@ def _wsq_header(data: bytes, name: str) -> tuple[int, int, int | None]:
     whole = 0 < frame < block < data.rfind(_END)
     require(whole, f"{name} is truncated or damaged: its WSQ image is not whole; copy it again.")
     rows, columns = _SIZE.unpack_from(data, frame)
-    fault = f"{name} claims {rows} x {columns} pixels; prints have up to {MAX_WSQ_PIXELS}."
-    require(0 < rows * columns <= MAX_WSQ_PIXELS, fault)
+    fault = f"{name} claims {rows} x {columns} pixels; prints have up to {_MAX_WSQ_PIXELS}."
+    require(0 < rows * columns <= _MAX_WSQ_PIXELS, fault)
     stated = _PPI_LINE.findall(data[:block])
     return rows, columns, int(stated[-1]) if stated else None

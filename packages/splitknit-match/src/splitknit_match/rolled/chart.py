@@ -11,15 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 import scipy
 
-from splitknit.imaging.geometry import sampled_at
 from splitknit.imaging.view import View
-from splitknit.mirrors.reflection import Sight
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_match.rolled.parameters import BEYOND_MM
+from splitknit_match.rolled.sight import Sight
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,18 +84,6 @@ def surface_normals(points_mm: Array) -> Array:
     return np.asarray(np.nan_to_num(normal / np.maximum(length, 1e-12)))
 
 
-def read(
-    field: FloatArray,
-    columns: FloatArray,
-    rows: FloatArray,
-    *,
-    cubic: bool = False,
-    empty: float = float("nan"),
-) -> FloatArray:
-    """Values of a field (H, W) at places of any shape, `empty` outside; beside NaN they are NaN."""
-    return sampled_at(field, columns, rows, cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR, empty)
-
-
 # A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they
 # lie.
 
@@ -134,7 +119,8 @@ def heights(sight: Sight, chart: Chart, radius_mm: Array, view: View) -> FloatAr
         beside, 1e-6
     ) ** 2
     low = np.broadcast_to(middle[2] + (along * axis[2] if beside > 0.5 else 0.0), shape)
-    height = crossing(lambda height: above(height)[0] > 0, low, low + BEYOND_MM, 20)
+    # the camera's rays are followed from this far above the finger's axis
+    height = crossing(lambda height: above(height)[0] > 0, low, low + 16.0, 20)
     met = (above(low)[0] < 0) & above(height)[1]
     return np.where(met, height, np.nan).astype(np.float32)
 

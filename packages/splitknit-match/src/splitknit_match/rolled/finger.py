@@ -12,35 +12,23 @@ import scipy
 
 from splitknit import Capture
 from splitknit.findings import Finding, Severity, worst_first
+from splitknit.imaging.geometry import smoothed
 from splitknit.mirrors.body import Body
-from splitknit.mirrors.reflection import Glass, Sight
+from splitknit.mirrors.reflection import Glass
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.observation.observe import observe
 from splitknit.skin.grid import smooth_step
 from splitknit.skin.images import MetricSettings
 from splitknit_match.rolled.chart import Chart, crossing, surface_normals
-from splitknit_match.rolled.parameters import (
-    AROUND_DEG,
-    AROUND_SKIN_DEG,
-    BELOW_MM,
-    DEVIATION_FLOOR_MM,
-    FADE_MM,
-    FAN_DEG,
-    MAX_DEVIATION_MM,
-    MAX_ROLL_RAD,
+from splitknit_match.rolled.register import (
     MIN_CORRELATION,
-    MIN_COSINE,
-    MIN_MEETING,
-    PITCH_MM,
-    POWER,
-    ROLL_OF_SHEAR,
-    SEARCH_PITCH_MM,
-    SHAPE_PITCH_MM,
-    STATIONS,
-    STEEPEST_DEG,
-    SURE_MEETING,
+    ViewRidges,
+    align,
+    ridges_of,
+    search,
 )
-from splitknit_match.rolled.register import ViewRidges, align, gaussian_over, ridges_of, search
+from splitknit_match.rolled.sight import Sight
 from splitknit_match.rolled.views import MirrorViews, ViewRelief, view_relief
 
 
@@ -53,22 +41,52 @@ class Shape:
     half_mm: float  # half its typical breadth
 
 
+_SHAPE_PITCH_MM = 0.25
+"""Pitch of the chart of the smooth finger. Chosen on: simulated fingers (11, 101, 102 and 201 to
+204 between two mirrors)."""
+_FAN_DEG = 75.0
+"""How far the chart bends over the tip. Chosen on: simulated fingers (11, 101, 102 and 201 to 204
+between two mirrors)."""
+_BELOW_MM = 4.0
+"""The chart goes on below what the outlines show: light from there matters. Chosen on: simulated
+fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_AROUND_DEG = 172.0
+"""The chart of the smooth finger reaches this far to either side of the front. Chosen on: simulated
+fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_STATIONS = 60
+"""Sections of a body of which the typical one is taken. Chosen on: simulated fingers (11, 101, 102
+and 201 to 204 between two mirrors)."""
+
+
 def _shape_of(body: Body) -> Shape:
     """A body on a chart whose axis runs through its sections' middles."""
-    sections = body.sections(body.tip_mm - body.length_mm * np.linspace(0.1, 1.0, STATIONS))
+    sections = body.sections(body.tip_mm - body.length_mm * np.linspace(0.1, 1.0, _STATIONS))
     half = float(np.median(sections.a))
     cap = min(half, 0.6 * body.length_mm)
     along = np.array([*body.axis, 0.0])
     right = np.array([*body.across, 0.0])
     centre = np.array([*body.origin_mm, float(np.median(sections.z))])
     centre = centre + (body.tip_mm - cap) * along + float(np.median(sections.t)) * right
-    angles = _angles(AROUND_DEG, cap, SHAPE_PITCH_MM)
+    angles = _angles(_AROUND_DEG, cap, _SHAPE_PITCH_MM)
     lengths = _lengths(
-        cap - body.length_mm - BELOW_MM, float(cap * np.deg2rad(FAN_DEG)), SHAPE_PITCH_MM
+        cap - body.length_mm - _BELOW_MM, float(cap * np.deg2rad(_FAN_DEG)), _SHAPE_PITCH_MM
     )
     chart = Chart(centre, np.stack([right, along, [0.0, 0.0, 1.0]]), angles, lengths, cap)
     radius = _radius_of(body, chart)
     return Shape(chart, radius + _rolled_pad(body, chart, radius), half)
+
+
+_AROUND_SKIN_DEG = 105.0
+"""The chart of the print reaches this far to either side of the front. Chosen on: simulated fingers
+(11, 101, 102 and 201 to 204 between two mirrors)."""
+_SEARCH_PITCH_MM = 0.1
+"""Pitch of the chart on which ridges are compared. Chosen on: speed."""
+_MIN_COSINE = 0.25
+"""Views are compared where both see the skin less steeply than this, in cosine. Chosen on:
+simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_MIN_MEETING = 0.3
+"""Correlation of two views' ridges below which they do not lie on each other. Chosen on: simulated
+fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
 
 
 class Work:
@@ -76,7 +94,8 @@ class Work:
 
     def __init__(self, capture: Capture, views: MirrorViews, settings: MetricSettings) -> None:
         """Measure the shape, and the relief of every view."""
-        self.capture = capture
+        observation = observe(capture).without_films()
+        self.camera = observation.rig.camera
         self.findings = views.findings
         self.cut = {view.name for view in views if view.cut}
         self.shape = _shape_of(views.body)
@@ -88,7 +107,7 @@ class Work:
         shape = self.shape
         self.reliefs: dict[str, ViewRelief] = {
             name: view_relief(
-                capture,
+                observation,
                 sight,
                 masks[name],
                 shape.chart,
@@ -101,7 +120,7 @@ class Work:
 
     def sights(self) -> dict[str, Sight]:
         """The front and the mirrors where they are taken to be by now."""
-        camera = self.capture.rig.camera
+        camera = self.camera
         mirrors = {name: Sight(name, camera, glass.plane) for name, glass in self.glasses.items()}
         return {"front": Sight("front", camera), **mirrors}
 
@@ -109,7 +128,7 @@ class Work:
         """The finger's chart, as far around as a print reaches; radius, points and normals on
         it."""
         whole = self.shape.chart
-        angles = _angles(AROUND_SKIN_DEG, self.shape.half_mm, pitch_mm)
+        angles = _angles(_AROUND_SKIN_DEG, self.shape.half_mm, pitch_mm)
         lengths = _lengths(float(whole.length_mm[-1]), float(whole.length_mm[0]), pitch_mm)
         chart = replace(whole, angle_rad=angles, length_mm=lengths)
         radius = _sampled(whole, self.shape.radius_mm, chart)
@@ -122,14 +141,14 @@ class Work:
         """Relief, deviation and trust of a view at points; and where it shows them."""
         sight = self.sights()[name]
         fields = np.stack(self.reliefs[name].sampled(sight, points))
-        known = np.isfinite(fields).all(axis=0) & (sight.cosine(normals, points) > MIN_COSINE)
+        known = np.isfinite(fields).all(axis=0) & (sight.cosine(normals, points) > _MIN_COSINE)
         relief, deviation, trust = np.where(known, fields, np.float32(0))
         return relief, deviation, trust, known
 
     def register(self, coarse: bool) -> None:
         """Bring the mirrors' ridges onto the front's: by a search first, then by what bends and
         moves."""
-        chart, radius, points, normals = self.surface(SEARCH_PITCH_MM)
+        chart, radius, points, normals = self.surface(_SEARCH_PITCH_MM)
         views = {}
         for name, sight in self.sights().items():
             relief, _, _, known = self.seen(name, points, normals)
@@ -143,7 +162,7 @@ class Work:
             for name, mirror in mirrors.items():
                 match = search(chart, radius, front, mirror, cut=name in self.cut)
                 # it may lie further off than it should
-                if match.correlations[0] < MIN_MEETING and name not in self.cut:
+                if match.correlations[0] < _MIN_MEETING and name not in self.cut:
                     again = search(chart, radius, front, mirror, cut=True)
                     match = max(match, again, key=lambda each: each.correlations)
                 matches.append(match)
@@ -213,6 +232,14 @@ class Rolled:
     findings: tuple[Finding, ...]  # of its views, worst first
 
 
+PITCH_MM = 0.035
+"""Pitch of the chart of the print, finer than the camera resolves. Chosen on: simulated fingers
+(11, 101, 102 and 201 to 204 between two mirrors)."""
+_SURE_MEETING = 0.4
+"""Correlation of two views' ridges below which they may not lie on each other. Chosen on: simulated
+fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+
+
 def rolled_finger(
     capture: Capture,
     views: MirrorViews,
@@ -248,7 +275,7 @@ def rolled_finger(
     apart = [
         _apart(name, values[-1])
         for name, values in work.correlation.items()
-        if values[-1] < SURE_MEETING
+        if values[-1] < _SURE_MEETING
     ]
     facts = {
         "views": list(sights),
@@ -272,13 +299,31 @@ def rolled_finger(
 
 def _apart(name: str, correlation: float) -> Finding:
     """That a mirror's ridges hardly lie on the front's."""
-    sure = correlation < MIN_MEETING
+    sure = correlation < _MIN_MEETING
     words = (
         f"ridges of the {name} mirror's view {'do' if sure else 'may'} not lie on the front's"
         f" (correlation {correlation:.2f}), so that they may be kinked where the views meet: check"
         " the mirror's pose in rig.json, and that ridges are seen in it."
     )
     return Finding("views-do-not-meet", words, Severity.DOUBT if sure else Severity.NOTE)
+
+
+STEEPEST_DEG = 72.0
+"""Slant, as a view sees it, from which it counts for nothing. Chosen on: simulated fingers (11,
+101, 102 and 201 to 204 between two mirrors)."""
+_FADE_MM = 0.8
+"""Width over which a view fades in from the outline of what it shows. Chosen on: simulated fingers
+(11, 101, 102 and 201 to 204 between two mirrors)."""
+_MAX_DEVIATION_MM = 0.035
+"""Where the relief's standard deviation exceeds this, ridges are unknown; a view loses weight from
+three quarters of it on. Chosen on: simulated fingers (11, 101, 102 and 201 to 204 between two
+mirrors)."""
+_POWER = 8.0
+"""Views weigh with this power of what their slant leaves: high hands over fast, low mixes over a
+wide zone. Chosen on: simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_DEVIATION_FLOOR_MM = 0.004
+"""Added to the relief's standard deviation, so that no view is trusted without limit. Chosen on:
+simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
 
 
 def _view_weight(
@@ -289,13 +334,13 @@ def _view_weight(
     skin's normal; all (n, m).
     """
     least = np.cos(np.deg2rad(STEEPEST_DEG))
-    facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** POWER
+    facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** _POWER
     inside = (known & (facing > 0)).astype(np.uint8)
     depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
-    fade = smooth_step(depth / FADE_MM)
-    deviation = gaussian_over(np.where(known, deviation_mm, 0.0), known, 0.5 / pitch_mm)
-    certain = DEVIATION_FLOOR_MM**2 / (DEVIATION_FLOOR_MM**2 + deviation**2)
-    sure = np.clip(4.0 * (1.0 - deviation / MAX_DEVIATION_MM), 0.0, 1.0)
+    fade = smooth_step(depth / _FADE_MM)
+    deviation = smoothed(deviation_mm, known, 0.5 / pitch_mm)
+    certain = _DEVIATION_FLOOR_MM**2 / (_DEVIATION_FLOOR_MM**2 + deviation**2)
+    sure = np.clip(4.0 * (1.0 - deviation / _MAX_DEVIATION_MM), 0.0, 1.0)
     return np.asarray(facing * fade * certain * sure * inside, dtype=np.float32)
 
 
@@ -341,6 +386,14 @@ def _outside(body: Body, points_mm: Array) -> BoolArray:
     return np.asarray(out.reshape(points_mm.shape[:-1]))
 
 
+ROLL_OF_SHEAR = -3.1
+"""Roll to the right for each unit of a body's shear, in rad. Chosen on: simulated fingers (11, 101,
+102 and 201 to 204 between two mirrors)."""
+_MAX_ROLL_RAD = 0.3
+"""Largest roll that a body's shear shows. Chosen on: simulated fingers (11, 101, 102 and 201 to 204
+between two mirrors)."""
+
+
 def _rolled_pad(body: Body, chart: Chart, radius_mm: Array) -> Array:
     """(n, m) to be added to the skin's distance where a finger is rolled: its flat pad is rolled,
     too.
@@ -351,6 +404,6 @@ def _rolled_pad(body: Body, chart: Chart, radius_mm: Array) -> Array:
     """
     expected = MirrorShapeSettings().squareness
     flat = 0.5 * (body.squareness + expected)  # the fit takes a rolled pad for a round one
-    roll = float(np.clip(ROLL_OF_SHEAR * body.shear, -MAX_ROLL_RAD, MAX_ROLL_RAD))
+    roll = float(np.clip(ROLL_OF_SHEAR * body.shear, -_MAX_ROLL_RAD, _MAX_ROLL_RAD))
     turned = np.where(np.abs(chart.angle_rad) < 0.5 * np.pi, np.sin(4.0 * chart.angle_rad), 0.0)
     return -0.5 * flat * roll * turned[None] * radius_mm

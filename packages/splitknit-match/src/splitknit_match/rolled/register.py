@@ -14,63 +14,31 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from splitknit.imaging.geometry import sampled_at, smoothed
 from splitknit.imaging.view import pixels_of
-from splitknit.mirrors.reflection import Sight
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_match.rolled.chart import Chart, read
-from splitknit_match.rolled.parameters import (
-    ACROSS_CUT_MM,
-    ACROSS_MM,
-    ALONG_MM,
-    APART_MM,
-    BEND_PRIOR_MM,
-    BULGE_MM,
-    CANDIDATES,
-    CORRELATED_MM,
-    DEPTH_PRIOR_MM,
-    DOUBT,
-    FEW,
-    KNOT_MM,
-    LIKE_PLACES,
-    MIN_CORRELATION,
-    MOVE_MM,
-    OUTER,
-    OUTLINE_DEG,
-    OUTLINE_PRIOR_MM,
-    POSE_PRIOR,
-    ROBUST,
-    ROUNDS,
-    SEARCHED,
-    SHIFT_CUT_MM,
-    SHIFT_MM,
-    SIMPLEX,
-    STEP_MM,
-    TURN_CUT_DEG,
-    TURN_DEG,
-    UNSEEN_PRIOR_MM,
-)
+from splitknit_match.rolled.chart import Chart
+from splitknit_match.rolled.sight import Sight
 
 # Ridges by themselves: a relief without what is smooth in it.
 
 
 def ridges_of(relief: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
     """(n, m) relief less its local mean over `known`, zero elsewhere."""
-    filled = np.where(known, relief, 0.0).astype(np.float32)
-    mean = gaussian_over(filled, known, 0.32 / pitch_mm)  # mm: the ridge band of this package
-    return np.where(known, filled - mean, 0.0).astype(np.float32)
-
-
-def gaussian_over(values: FloatArray, known: BoolArray, sigma: float) -> FloatArray:
-    """Gaussian mean over `known` of values that are zero elsewhere."""
-    fraction = np.maximum(cv2.GaussianBlur(known.astype(np.float32), (0, 0), sigma), 1e-3)
-    return cv2.GaussianBlur(values, (0, 0), sigma) / fraction
+    mean = smoothed(relief, known, 0.32 / pitch_mm)  # mm: the ridge band of this package
+    return np.where(known, relief - mean, 0.0).astype(np.float32)
 
 
 def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
     """(n, m) ridge band over its local standard deviation in 1 mm: two ridges."""
-    power = gaussian_over(np.where(known, band * band, 0).astype(np.float32), known, 1.0 / pitch_mm)
+    power = smoothed(band * band, known, 1.0 / pitch_mm)
     typical = float(np.median(power[known])) if known.any() else 1.0
     return np.asarray(band / np.sqrt(power + (0.1 * typical + 1e-20)), dtype=np.float32)
+
+
+def _correlation(a: FloatArray, b: FloatArray) -> float:
+    """Of two lists of values; 0 where one has nothing but its mean."""
+    return float(np.corrcoef(a, b)[0, 1]) if min(np.ptp(a), np.ptp(b)) > 1e-12 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,9 +71,7 @@ def _shifts_by(
     by_radius = np.einsum("kij,kj->ki", inverse, (pixels(points + small * rays) - here) / small)
     by_pose = np.zeros((len(points), 2, 3))
     if sight.plane is not None:
-        for k in range(3):
-            change = np.zeros(3)
-            change[k] = 1e-3
+        for k, change in enumerate(1e-3 * np.eye(3)):
             moved = replace(sight, plane=sight.plane.moved((change[0], change[1]), change[2]))
             by_pose[:, :, k] = np.einsum(
                 "kij,kj->ki", inverse, (pixels(points, moved) - here) / 1e-3
@@ -120,6 +86,20 @@ class ViewRidges:
     sight: Sight
     band: FloatArray  # (n, m) ridge band, zero where the view does not show the finger
     known: BoolArray  # (n, m) where it does; of a mirror, where the front does, too
+
+
+_CORRELATED_MM = 0.3
+"""Ridges are independent at about this distance. Chosen on: simulated fingers (11, 101, 102 and 201
+to 204 between two mirrors)."""
+_ROBUST = 1.0
+"""Difference of two views' ridges, of unit contrast, from which it counts less and less. Chosen on:
+simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_ROUNDS = 12
+"""Rounds of the registration, at most. Chosen on: simulated fingers (11, 101, 102 and 201 to 204
+between two mirrors)."""
+_FEW = 500
+"""Pixels that both views show; with fewer a mirror is left as it is, in px. Chosen on: simulated
+fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
 
 
 def align(
@@ -137,13 +117,13 @@ def align(
     """
     every, knots = _knots(chart)
     count = knots[0] * knots[1]
-    usable = [k for k, mirror in enumerate(mirrors) if mirror.known.sum() >= FEW]
+    usable = [k for k, mirror in enumerate(mirrors) if mirror.known.sum() >= _FEW]
     parts = {k: _Part(chart, radius_mm, front, mirrors[k]) for k in usable}
-    weight = (chart.pitch_mm / CORRELATED_MM) ** 2  # neighbouring pixels are correlated
+    weight = (chart.pitch_mm / _CORRELATED_MM) ** 2  # neighbouring pixels are correlated
     prior = _priors(chart, np.any([mirror.known for mirror in mirrors], axis=0), len(mirrors))
     values = np.zeros(count + 3 * len(mirrors))
     best = -np.inf
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         normal = prior.copy()
         right = -prior @ values
         scores = np.zeros(len(mirrors))
@@ -158,7 +138,7 @@ def align(
             matrix = scipy.sparse.hstack(
                 [matrix[:, :count], before, matrix[:, count:], after]
             ).tocsr()
-            trust = scipy.sparse.diags_array(weight / (1.0 + (residual / ROBUST) ** 2))
+            trust = scipy.sparse.diags_array(weight / (1.0 + (residual / _ROBUST) ** 2))
             normal = normal + matrix.T @ trust @ matrix
             right = right + matrix.T @ (trust @ residual)
         if scores.mean() > best:
@@ -166,12 +146,10 @@ def align(
             moved = values
             correlations = scores
         values = values + scipy.sparse.linalg.spsolve(scipy.sparse.csc_array(normal), right)
-    grid = moved[:count].reshape(knots).astype(np.float32)
-    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) / every for n in chart.shape[::-1]))
-    smooth = cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    smooth = cv2.GaussianBlur(smooth, (0, 0), 0.35 * every)
+    down, across = (_hats(n, every, k) for n, k in zip(chart.shape, knots, strict=True))
+    smooth = cv2.GaussianBlur(down @ moved[:count].reshape(knots) @ across.T, (0, 0), 0.35 * every)
     poses = tuple(map(tuple, moved[count:].reshape(-1, 3).tolist()))
-    return Correction(smooth.astype(float), poses, tuple(correlations.tolist()))
+    return Correction(np.asarray(smooth, float), poses, tuple(correlations.tolist()))
 
 
 class _Part:
@@ -185,7 +163,9 @@ class _Part:
             chart, radius_mm, (front.sight, mirror.sight), (self.rows, self.columns)
         )
         every, knots = _knots(chart)
-        self.spread = _hats(self.columns / every, self.rows / every, knots)
+        down, across = (_hats(n, every, k) for n, k in zip(chart.shape, knots, strict=True))
+        weights: Any = scipy.sparse.kron(scipy.sparse.csr_array(down), across)
+        self.spread: Any = weights.tocsr()[self.rows * chart.shape[1] + self.columns]
         band = _evened(mirror.band, mirror.known, chart.pitch_mm)
         self.fields = band, np.gradient(band, axis=1), np.gradient(band, axis=0)
         self.target = _evened(front.band, mirror.known, chart.pitch_mm)[self.rows, self.columns]
@@ -199,7 +179,7 @@ class _Part:
             scipy.ndimage.map_coordinates(field, place, order=1).astype(float)
             for field in self.fields
         )
-        score = float(np.corrcoef(seen, self.target)[0, 1]) if seen.std() > 0 else 0.0
+        score = _correlation(seen, self.target)
         jacobian = across[:, None] * self.modes[:, 0] + down[:, None] * self.modes[:, 1]  # (K, 4)
         by_knots = scipy.sparse.diags_array(jacobian[:, 0]) @ self.spread
         matrix: Any = scipy.sparse.hstack(
@@ -225,26 +205,41 @@ def _ridge_moves(
     return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
 
 
-def _hats(columns: Array, rows: Array, knots: tuple[int, int]) -> scipy.sparse.csr_array:
-    """(K, knots) bilinear weights of the knots at places given in knots."""
-    row0 = np.clip(np.floor(rows).astype(int), 0, knots[0] - 2)
-    column0 = np.clip(np.floor(columns).astype(int), 0, knots[1] - 2)
-    down = rows - row0
-    right = columns - column0
-    weights = np.r_[(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right]
-    first = row0 * knots[1] + column0
-    places = np.r_[first, first + 1, first + knots[1], first + knots[1] + 1]
-    shape = (len(columns), knots[0] * knots[1])
-    return scipy.sparse.coo_array(
-        (weights, (np.tile(np.arange(len(columns)), 4), places)), shape=shape
-    ).tocsr()
+def _hats(pixels: int, every: int, knots: int) -> Array:
+    """(pixels, knots) linear weights of knots `every` pixels apart along a line of pixels."""
+    return np.maximum(1.0 - np.abs(np.arange(pixels)[:, None] / every - np.arange(knots)), 0.0)
+
+
+_KNOT_MM = 2.5
+"""Distance of the knots of the correction of the surface. Chosen on: simulated fingers (11, 101,
+102 and 201 to 204 between two mirrors)."""
 
 
 def _knots(chart: Chart) -> tuple[int, tuple[int, int]]:
     """Pixels of the chart from one knot of the correction to the next, and rows and columns of
     knots."""
-    every = max(2, round(KNOT_MM / chart.pitch_mm))
+    every = max(2, round(_KNOT_MM / chart.pitch_mm))
     return every, (-(-(chart.shape[0] - 1) // every) + 1, -(-(chart.shape[1] - 1) // every) + 1)
+
+
+_POSE_PRIOR = (0.004, 0.002, 0.05)
+"""Standard deviations of a mirror's two turns (rad) and its shift (mm), in rad, rad, mm. Chosen on:
+simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_DEPTH_PRIOR_MM = 0.15
+"""Standard deviation of the surface against where it is taken to be. Chosen on: simulated fingers
+(11, 101, 102 and 201 to 204 between two mirrors)."""
+_UNSEEN_PRIOR_MM = 0.03
+"""The same standard deviation where no two views show the surface. Chosen on: simulated fingers
+(11, 101, 102 and 201 to 204 between two mirrors)."""
+_OUTLINE_PRIOR_MM = 0.05
+"""The same standard deviation where the front's outline determines the surface. Chosen on:
+simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_OUTLINE_DEG = 15.0
+"""The front's outline determines the surface so near to a right angle from the front. Chosen on:
+simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_BEND_PRIOR_MM = 0.04
+"""Standard deviation of the correction's second difference from knot to knot. Chosen on: simulated
+fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
 
 
 def _priors(chart: Chart, seen: BoolArray, mirrors: int) -> Any:
@@ -253,24 +248,74 @@ def _priors(chart: Chart, seen: BoolArray, mirrors: int) -> Any:
     every, (rows, columns) = _knots(chart)
     step = float(chart.angle_rad[1] - chart.angle_rad[0]) * every
     degrees = np.rad2deg(float(chart.angle_rad[0]) + step * np.arange(columns))
-    near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / OUTLINE_DEG) ** 2)
-    deviation = DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near
+    near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / _OUTLINE_DEG) ** 2)
+    deviation = _DEPTH_PRIOR_MM * (_OUTLINE_PRIOR_MM / _DEPTH_PRIOR_MM) ** near
     reach = cv2.dilate(seen.astype(np.uint8), np.ones((2 * every + 1, 2 * every + 1), np.uint8))
     row = np.minimum(np.arange(rows) * every, seen.shape[0] - 1)
     column = np.minimum(np.arange(columns) * every, seen.shape[1] - 1)
-    deviation = np.where(reach[np.ix_(row, column)] > 0, deviation[None], UNSEEN_PRIOR_MM)
+    deviation = np.where(reach[np.ix_(row, column)] > 0, deviation[None], _UNSEEN_PRIOR_MM)
     # second differences from knot to knot
     down = scipy.sparse.kron(np.diff(np.eye(rows), 2, axis=0), scipy.sparse.eye_array(columns))
     across = scipy.sparse.kron(scipy.sparse.eye_array(rows), np.diff(np.eye(columns), 2, axis=0))
-    smooth = (down.T @ down + across.T @ across) / BEND_PRIOR_MM**2
+    smooth = (down.T @ down + across.T @ across) / _BEND_PRIOR_MM**2
     still = scipy.sparse.diags_array(1.0 / deviation.ravel() ** 2)
-    of_poses = scipy.sparse.diags_array(np.tile(1.0 / np.array(POSE_PRIOR) ** 2, mirrors))
+    of_poses = scipy.sparse.diags_array(np.tile(1.0 / np.array(_POSE_PRIOR) ** 2, mirrors))
     return scipy.sparse.block_diag([smooth + still, of_poses]).tocsr()
 
 
 # The first guess of surface and pose: a handful of numbers for which all ridges of two views meet
-# at once. Single
-# squares of ridges look the same a period on; the whole overlap does not.
+# at once. Single squares of ridges look the same a period on; the whole overlap does not.
+
+
+_SEARCHED = 6000
+"""So many pixels show which of many guesses is best, in px. Chosen on: speed."""
+_APART_MM = 0.15
+"""Moves that differ by less than this lead to the same place. Chosen on: simulated fingers (11,
+101, 102 and 201 to 204 between two mirrors)."""
+_OUTER = 0.9
+"""How much more the surface bulges for each 20 deg towards the side, over the bulge's standard
+deviation. Chosen on: simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_LIKE_PLACES = 20.0
+"""A move of a mirror counts as so many measured places. Chosen on: simulated fingers (11, 101, 102
+and 201 to 204 between two mirrors)."""
+_MOVE_MM = 0.05
+"""Standard deviation of each of these places. Chosen on: simulated fingers (11, 101, 102 and 201 to
+204 between two mirrors)."""
+_DOUBT = 0.01
+"""Correlation that a number must gain to be believed one standard deviation from what the outlines
+show. Chosen on: simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+MIN_CORRELATION = 0.2
+"""Correlation of two views' ridges below which nothing is changed. Chosen on: simulated fingers
+(11, 101, 102 and 201 to 204 between two mirrors)."""
+_ACROSS_MM = 1.6
+"""Largest offset of the mirror's ridges against the front's around the finger. Chosen on: simulated
+fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_ACROSS_CUT_MM = 3.0
+"""The same offset of views that are cut: their mirrors' poses are known less well. Chosen on:
+simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_ALONG_MM = 0.3
+"""Largest offset of the mirror's ridges along the finger. Chosen on: simulated fingers (11, 101,
+102 and 201 to 204 between two mirrors)."""
+_BULGE_MM = 0.2
+"""Standard deviation of the surface's bulge half-way between front and side, where outlines
+determine it. Chosen on: simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_SHIFT_MM = 0.06
+"""Standard deviation of the mirror's place along its normal, where outlines determine it. Chosen
+on: simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_TURN_DEG = 0.2
+"""Standard deviation of the mirror's turns, where outlines determine them. Chosen on: simulated
+fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+_SHIFT_CUT_MM = 0.6
+"""Standard deviation of the place of a mirror whose view is cut. Chosen on: simulated fingers (11,
+101, 102 and 201 to 204 between two mirrors)."""
+_TURN_CUT_DEG = 0.6
+"""Standard deviation of the turns of a mirror whose view is cut. Chosen on: simulated fingers (11,
+101, 102 and 201 to 204 between two mirrors)."""
+_CANDIDATES = 6
+"""Best guesses that are refined. Chosen on: speed."""
+_SIMPLEX = np.array([0.003, 0.001, 0.03, 0.03, 0.05, 0.03])
+"""First steps of the refinement: two turns (rad), shift and bulges (mm), in rad, rad, mm. Chosen
+on: simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
 
 
 def search(  # noqa: PLR0915
@@ -279,7 +324,7 @@ def search(  # noqa: PLR0915
     """Find how the surface `radius_mm` (n, m) bulges and where the mirror lies; `cut`: whose view
     is cut."""
     rows, columns = np.nonzero(mirror.known)
-    if rows.size < FEW:
+    if rows.size < _FEW:
         return Correction(np.zeros(chart.shape), ((0.0, 0.0, 0.0),), (0.0,))
     ridge_moves = _ridge_moves(chart, radius_mm, (front.sight, mirror.sight), (rows, columns))
     angle = chart.angle_rad[columns]
@@ -295,31 +340,29 @@ def search(  # noqa: PLR0915
     )
     target = front.band[rows, columns]
     place = np.stack([columns, rows], axis=1).astype(np.float32)
-    turn = float(np.deg2rad(TURN_CUT_DEG if cut else TURN_DEG))
+    turn = float(np.deg2rad(_TURN_CUT_DEG if cut else _TURN_DEG))
     spread = np.array(
-        [turn, turn, SHIFT_CUT_MM if cut else SHIFT_MM, BULGE_MM, BULGE_MM, OUTER * BULGE_MM]
+        [turn, turn, _SHIFT_CUT_MM if cut else _SHIFT_MM, _BULGE_MM, _BULGE_MM, _OUTER * _BULGE_MM]
     )
-    few = slice(None, None, max(1, rows.size // SEARCHED))
+    few = slice(None, None, max(1, rows.size // _SEARCHED))
     every = slice(None)
 
     def score(moves: FloatArray, some: slice) -> float:
         """Correlation of the mirror's ridges, moved on the chart, with the front's."""
-        values = read(mirror.band, *(place[some] + moves).T, empty=0.0)
-        wanted = target[some] - target[some].mean()
-        values = values - values.mean()
-        power = float((values**2).sum()) * float((wanted**2).sum())
-        return float((values * wanted).sum()) / float(np.sqrt(max(power, 1e-24)))
+        column, row = (place[some] + moves).T
+        values = sampled_at(mirror.band, column, row, outside=0.0)
+        return _correlation(values, target[some])
 
     def refined(start: Array, some: slice) -> tuple[float, Array]:
         """The best numbers near `start`, and their merit."""
 
         def loss(step: Array) -> float:
-            numbers = start + step * SIMPLEX
+            numbers = start + step * _SIMPLEX
             correlation = score(modes[some] @ numbers.astype(np.float32), some)
-            return DOUBT * float(((numbers / spread) ** 2).sum()) - correlation
+            return _DOUBT * float(((numbers / spread) ** 2).sum()) - correlation
 
         minimum = minimize(loss, np.zeros(6), method="Nelder-Mead", options=options)
-        return -float(minimum.fun), start + minimum.x * SIMPLEX
+        return -float(minimum.fun), start + minimum.x * _SIMPLEX
 
     options: Any = {
         "initial_simplex": np.eye(7, 6, -1),
@@ -331,23 +374,24 @@ def search(  # noqa: PLR0915
     # what the outlines may be wrong by, as one move of all ridges
     typical = np.sqrt(((np.median(modes, axis=0) * spread) ** 2).sum(axis=1)) + 1e-9
     guesses = []
-    reaches = ACROSS_CUT_MM if cut else ACROSS_MM, ALONG_MM
-    for move in itertools.product(*(_range(reach) / chart.pitch_mm for reach in reaches)):
+    reaches = _ACROSS_CUT_MM if cut else _ACROSS_MM, _ALONG_MM
+    steps = (0.05 * np.arange(-n, n + 1) for n in (round(reach / 0.05) for reach in reaches))  # mm
+    for move in itertools.product(*(offsets / chart.pitch_mm for offsets in steps)):
         far = float(((np.array(move) / typical) ** 2).sum())
         guesses.append(
-            (score(np.array([move], dtype=np.float32), few) - DOUBT * far, np.array(move))
+            (score(np.array([move], dtype=np.float32), few) - _DOUBT * far, np.array(move))
         )
     # turns, shift and bulges that move all ridges by about so much, as likely as they can be
     count = len(modes[few])
-    weight = LIKE_PLACES / count / (MOVE_MM / chart.pitch_mm) ** 2
+    weight = _LIKE_PLACES / count / (_MOVE_MM / chart.pitch_mm) ** 2
     flat = modes[few].reshape(-1, modes.shape[2]).astype(float)
     matrix = weight * flat.T @ flat + np.diag(1.0 / spread**2)
     starts: list[Array] = []  # the best moves of which no two are nearly the same
     for _, guess in sorted(guesses, key=itemgetter(0), reverse=True):
         apart = all(
-            float(np.abs(guess - start).max()) * chart.pitch_mm > APART_MM for start in starts
+            float(np.abs(guess - start).max()) * chart.pitch_mm > _APART_MM for start in starts
         )
-        if apart and len(starts) < CANDIDATES:
+        if apart and len(starts) < _CANDIDATES:
             starts.append(guess)
     solved = [np.linalg.solve(matrix, weight * flat.T @ np.tile(start, count)) for start in starts]
     _, numbers = max((refined(start, few) for start in solved), key=itemgetter(0))
@@ -361,8 +405,3 @@ def search(  # noqa: PLR0915
     further = (np.abs(angle) - np.pi / 4) / np.deg2rad(20.0)
     radius = bulged[None] * (numbers[3] + numbers[4] * rising[:, None] + numbers[5] * further[None])
     return Correction(radius, (tuple(numbers[:3].tolist()),), (correlation,))
-
-
-def _range(reach: float) -> Array:
-    count = int(np.floor(reach / STEP_MM + 1e-9))
-    return np.arange(-count, count + 1, dtype=float) * STEP_MM

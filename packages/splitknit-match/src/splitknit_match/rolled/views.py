@@ -18,19 +18,19 @@ import numpy as np
 from splitknit import Capture, Led, Rig
 from splitknit.errors import require
 from splitknit.findings import Finding
-from splitknit.finger.locate import FingerSettings, enlarged_mask
+from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged_mask
 from splitknit.finger.orientation import find_upright
-from splitknit.finger.parameters import BEYOND_CREASE_MM
 from splitknit.finger.phalange import find_crease
 from splitknit.finger.regions import largest_component
-from splitknit.imaging.band import Window, has_colour, linear_channels, linear_survey, pick_channel
 from splitknit.imaging.geometry import (
     bounding_box,
     enlarged,
     gradients_from_normals,
     height_gradients,
     normals_from_gradients,
+    sampled_at,
 )
+from splitknit.imaging.pixels import Window, pick_channel
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelets
 from splitknit.mirrors.body import Body
@@ -38,7 +38,6 @@ from splitknit.mirrors.captured import skin_slopes
 from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.reflection import (
     Glass,
-    Sight,
     facing_fraction,
     glass_in,
     led_image,
@@ -48,10 +47,12 @@ from splitknit.mirrors.reflection import (
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import view_binning, views_in
 from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.observation.observe import Observation, observe
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.grid import BandImages, Grid, coarsen, refine, smooth_step
 from splitknit.skin.images import (
     FACTOR,
+    WORKING_PITCH_MM,
     MetricSettings,
     coarser,
     finer_grid,
@@ -60,19 +61,9 @@ from splitknit.skin.images import (
 )
 from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
-from splitknit.skin.parameters import COARSE_PITCH_MM, WORKING_PITCH_MM
-from splitknit_match.rolled.chart import Chart, heights, read
-from splitknit_match.rolled.parameters import (
-    EDGE_BAND_MM,
-    FADE_LIT_MM,
-    LIT,
-    MAX_SLOPE,
-    MIN_LIT,
-    ROWS,
-    SHAPELET_SCALES,
-    SLOPE_PRIOR,
-    UNKNOWN_MM,
-)
+from splitknit.skin.shape import COARSE_PITCH_MM
+from splitknit_match.rolled.chart import Chart, heights
+from splitknit_match.rolled.sight import Sight
 
 SIDES = ("left", "right")
 NO_MIRRORS = (
@@ -114,32 +105,33 @@ def find_mirror_views(
     mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
     require(any(name in SIDES for name in mirrors), NO_MIRRORS)
     require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
-    binning = view_binning(capture.rig.camera.px_per_mm)
-    mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
-    views = views_in(mean, capture.rig, binning)
+    observation = observe(capture).without_films()
+    binning = view_binning(observation.rig.camera.px_per_mm)
+    mean, grey = observation.white.at(binning).survey()
+    views = views_in(mean, observation.rig, binning)
     visible = {name: views.mirrors[name] for name in SIDES if name in views.mirrors}
-    cure = "turn the mirrors towards the finger, or print with `method` unroll."
     require(
         visible,
-        f"only the front view of the finger can be used: no mirror beside it shows it; {cure}",
+        "only the front view of the finger can be used: no mirror beside it shows it; turn the"
+        " mirrors towards the finger, or print with `method` unroll.",
     )
     shape = mirror_shape(
         replace(views, mirrors=visible),
-        capture.rig,
+        observation.rig,
         replace(mirror, method="outlines"),
-        tip_direction_deg=capture.tip_direction_deg or 0.0,
-        slopes_on=partial(skin_slopes, capture, grey, views),
+        tip_direction_deg=observation.tip_direction_deg or 0.0,
+        slopes_on=partial(skin_slopes, observation.white.rig, grey, views),
         cut_too=True,
     )
     assert isinstance(shape.model, Body)
     used = {} if shape.fit is None else shape.fit.poses
     cut = [name for name in shape.facts["views_cut_off"] if name in used]
-    front = enlarged_mask(views.front, capture.shape, binning)
+    front = enlarged_mask(views.front, observation.shape, binning)
     if settings.cut_at_crease:
-        front = _above_crease(front, views.front, mean, capture, binning)
+        front = _above_crease(front, views.front, mean, observation, binning)
     all_views = [MirrorView("front", front)]
     for name, glass in mirrors.items():
-        mask = enlarged_mask(visible[name], capture.shape, binning) if name in used else None
+        mask = enlarged_mask(visible[name], observation.shape, binning) if name in used else None
         all_views.append(MirrorView(name, mask, glass_in(glass, shape.plane(glass)), name in cut))
     not_found = [n for n in SIDES if n in mirrors and n not in visible]
     light_only = [n for n in mirrors if n not in SIDES]
@@ -178,11 +170,11 @@ def _of_views(code: str, words: str, names: Iterable[str]) -> list[Finding]:
 
 
 def _above_crease(
-    mask: BoolArray, small: BoolArray, mean: FloatArray, capture: Capture, binning: int
+    mask: BoolArray, small: BoolArray, mean: FloatArray, observation: Observation, binning: int
 ) -> BoolArray:
     """The front's mask without what lies beyond the finger's first crease."""
-    upright = find_upright(small, capture.tip_direction_deg or 0.0)
-    px_per_mm = capture.rig.camera.px_per_mm / binning
+    upright = find_upright(small, observation.tip_direction_deg or 0.0)
+    px_per_mm = observation.rig.camera.px_per_mm / binning
     crease = find_crease(pick_channel(mean, "grey"), small, upright, px_per_mm)
     if not crease.detected:
         return mask
@@ -250,6 +242,11 @@ def view_light(  # noqa: PLR0917
     return replace(rig, leds=tuple(leds), mirrors=()), np.stack(inner)
 
 
+_EDGE_BAND_MM = 0.3
+"""So near to its edge a light counts for nothing; as far again it counts in part. Chosen on:
+simulated fingers (11, 101, 102 and 201 to 204 between two mirrors)."""
+
+
 def _inner(facing: FloatArray, through: FloatArray, pitch_mm: float) -> FloatArray:
     """(h, w) zero beside the line where the light by way of a mirror ends; `facing`, `through`:
     fractions (h, w) of it that the skin is not turned away from, and that come within the mirror's
@@ -260,7 +257,7 @@ def _inner(facing: FloatArray, through: FloatArray, pitch_mm: float) -> FloatArr
     lit = (through > 0.5).astype(np.uint8)
     edge = cv2.morphologyEx(lit, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) * (facing > 0.5)
     away = cv2.distanceTransform(1 - edge.astype(np.uint8), cv2.DIST_L2, 5) * pitch_mm
-    return smooth_step((away - EDGE_BAND_MM) / EDGE_BAND_MM).astype(np.float32)
+    return smooth_step((away - _EDGE_BAND_MM) / _EDGE_BAND_MM).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,13 +280,16 @@ class ViewRelief:
             ((place - side.start + 0.5) / size - 0.5).astype(np.float32)
             for place, side in zip(sight.pixels(points_mm), self.window[::-1], strict=True)
         )
-        relief = read(self.relief_mm, column, row, cubic=True)
-        relief = np.where(np.isfinite(relief), relief, read(self.relief_mm, column, row))
-        return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
+        linear, deviation, trust = (
+            sampled_at(field, column, row, outside=np.nan)
+            for field in (self.relief_mm, self.deviation_mm, self.trust)
+        )
+        cubic = sampled_at(self.relief_mm, column, row, cv2.INTER_CUBIC, np.nan)
+        return np.where(np.isfinite(cubic), cubic, linear), deviation, trust
 
 
 def _grid_of(
-    capture: Capture,
+    observation: Observation,
     sight: Sight,
     mask: BoolArray,
     chart: Chart,
@@ -322,14 +322,29 @@ def _grid_of(
         bool(blocks[:, 0].any()),
         bool(blocks[:, -1].any()),
     )
-    pitch_mm = capture.rig.camera.pitch_mm * binning * nearer
+    pitch_mm = observation.rig.camera.pitch_mm * binning * nearer
     x = view.x_mm * nearer - origin[0]
     y = view.y_mm * nearer - origin[1]
     return Grid(blocks, x, y, pitch_mm, cut, apex), origin, nearer
 
 
+_LIT = 0.5
+"""Trust from which a light counts. Chosen on: simulated fingers (11, 101, 102 and 201 to 204
+between two mirrors)."""
+_FADE_LIT_MM = 0.2
+"""Width over which skin with fewer lights fades out. Chosen on: simulated fingers (11, 101, 102 and
+201 to 204 between two mirrors)."""
+_UNKNOWN_MM = 0.02
+"""Standard deviation of a relief that no network estimated. Chosen on: simulated fingers (11, 101,
+102 and 201 to 204 between two mirrors)."""
+_SLOPE_PRIOR = 0.5
+"""Holds slopes which the lights hardly determine to those of the shape: variance of the images'
+relative error over that of the slopes. Chosen on: simulated fingers (11, 101, 102 and 201 to 204
+between two mirrors)."""
+
+
 def view_relief(
-    capture: Capture,
+    observation: Observation,
     sight: Sight,
     mask: BoolArray,
     chart: Chart,
@@ -341,13 +356,13 @@ def view_relief(
     """Ridges of the finger as one view shows them, where `mask` (H, W) holds it, in the white band.
     `glasses`: all mirrors of the rig; `chart`, `radius_mm`: the finger without its ridges.
     """
-    white = capture.bands["white"]
-    camera = capture.rig.camera
+    white = observation.white
+    camera = observation.rig.camera
     binning = max(1, round(WORKING_PITCH_MM / camera.pitch_mm))
     window = bounding_box(mask, round(0.5 * camera.px_per_mm))
     view = view_of(camera, *window, binning=binning)
     grid, origin, nearer = _grid_of(
-        capture, sight, mask[window], chart, radius_mm, view=view, binning=binning
+        observation, sight, mask[window], chart, radius_mm, view=view, binning=binning
     )
 
     # the smooth finger as the view sees it, and its lights
@@ -361,7 +376,7 @@ def view_relief(
     low = replace(low, mask=known)
     height = np.where(known, height, 0).astype(np.float32)
     filled = refine(height, known, 1, low.shape)
-    rig, inner = view_light(capture.rig.select(white.lights), glasses, sight, filled, low, origin)
+    rig, inner = view_light(white.rig, glasses, sight, filled, low, origin)
     reach = np.kron(known, np.ones((factor, factor), dtype=bool))
     reach = np.pad(reach, [(0, n - m) for n, m in zip(grid.shape, reach.shape, strict=True)])
     grid = replace(grid, mask=grid.mask & reach)
@@ -371,12 +386,9 @@ def view_relief(
         facing *= np.exp(-smooth / np.float32(grid.apex_mm))
 
     # the photographs, on a finer grid where the network needs it
-    names = ("red", "green", "blue") if has_colour(white) else ("grey",)
-    images = BandImages(
-        names, linear_channels(white, capture.encoding, names, window, binning), rig
-    )
+    images = BandImages(white.channels, white.at(binning, window).stack, rig)
     inside = grid.mask
-    skin = capture.material == "skin"
+    skin = observation.material == "skin"
     finer = settings.relief == "network" and skin
     finer = (
         finer and not can_learn(images, grid.pitch_mm) and can_learn(images, grid.pitch_mm / FACTOR)
@@ -388,9 +400,9 @@ def view_relief(
         smooth = refine(height, known, factor, grid.shape)
     light = fine_lighting(images.rig, low, filled, factor, grid)
     # zero where fewer than three exposures light the skin, which determine no slope
-    enough = ((light.trust > LIT).sum(axis=0) >= MIN_LIT).astype(np.float32)
+    enough = ((light.trust > _LIT).sum(axis=0) >= 3).astype(np.float32)
     lit = np.clip(
-        2.0 * cv2.GaussianBlur(enough, (0, 0), FADE_LIT_MM / grid.pitch_mm) - 1.0, 0.0, 1.0
+        2.0 * cv2.GaussianBlur(enough, (0, 0), _FADE_LIT_MM / grid.pitch_mm) - 1.0, 0.0, 1.0
     )
     within = np.stack([enlarged(each, factor, grid.shape) for each in inner])
     light = replace(light, trust=np.maximum(light.trust * within, 1e-3))
@@ -399,9 +411,9 @@ def view_relief(
     if networks is None:
         trust = trust_of(slant_of(smooth, grid.pitch_mm), grid) * lit
         relief = _by_shapelets(images, grid, smooth, light, trust, skin=skin)
-        fields = relief, np.full(grid.shape, UNKNOWN_MM, dtype=np.float32), trust
+        fields = relief, np.full(grid.shape, _UNKNOWN_MM, dtype=np.float32), trust
     else:
-        g = _held_normals(images.stack / light.entering, light, smooth, grid, SLOPE_PRIOR)
+        g = _held_normals(images.stack / light.entering, light, smooth, grid, _SLOPE_PRIOR)
         estimate = relief_by_network(
             features(images, grid, smooth, light, g), grid, smooth, networks.relief
         )
@@ -414,6 +426,11 @@ def view_relief(
     return ViewRelief(
         window, binning, relief, deviation, trust, "network" if networks else "shapelets"
     )
+
+
+_SHAPELET_SCALES = 4
+"""Scales of the shapelets where no network estimates the relief. Chosen on: simulated fingers (11,
+101, 102 and 201 to 204 between two mirrors)."""
 
 
 def _by_shapelets(
@@ -432,19 +449,18 @@ def _by_shapelets(
         stack, images.rig, smooth, grid.mask, light.trust, view=grid.view, entering=entering
     )
     normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), 1e-9)
-    slopes = gradients_from_normals(normals, grid.mask, MAX_SLOPE)
+    slopes = gradients_from_normals(normals, grid.mask, 6.0)  # steeper slopes are shortened to this
     shape = height_gradients(smooth, grid.pitch_mm)
     beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
     evened = [(b - grid.smooth(b, grid.mask, 0.3)).astype(np.float32) for b in beyond]
-    bank = ShapeletSettings(scales=SHAPELET_SCALES)
+    bank = ShapeletSettings(scales=_SHAPELET_SCALES)
     bank = replace(bank, sigma_px=bank.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
     relief = np.nan_to_num(shapelets(evened[0], evened[1], grid.mask, bank), nan=0.0)
     return relief * np.float32(grid.pitch_mm) * trust
 
 
 # Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly
-# determine stay near
-# the shape's.
+# determine stay near the shape's.
 
 
 def _held_normals(
@@ -462,24 +478,16 @@ def _held_normals(
     slopes = (grid.smooth(s, grid.mask, 0.3) for s in height_gradients(smooth_mm, grid.pitch_mm))
     normals = np.moveaxis(normals_from_gradients(*slopes), -1, 0)  # (3, h, w)
     weights = light.trust * light.entering * light.entering
+    here = grid.mask
+    v = light.vectors[:, :, here].astype(float)  # (L, 3, n)
+    w = weights[:, here].astype(float)
+    n = normals[:, here].astype(float)  # (3, n)
+    across = np.eye(3)[:, :, None] - n[:, None] * n[None]
+    hold = prior * np.maximum(w.sum(axis=0), 1e-3) / count
+    matrix = (
+        np.einsum("ln,lin,ljn->nij", w, v, v) + np.moveaxis(hold * across, -1, 0) + 1e-6 * np.eye(3)
+    )
+    right = np.einsum("ln,cln,lin->nic", w, stack[:, :, here].astype(float), v)
     result = np.zeros((channels, *grid.shape, 3), dtype=np.float32)
-    for start in range(0, grid.shape[0], ROWS):
-        rows = slice(start, start + ROWS)
-        here = grid.mask[rows]
-        if not here.any():
-            continue
-        v = light.vectors[:, :, rows][:, :, here].astype(float)  # (L, 3, n)
-        w = weights[:, rows][:, here].astype(float)
-        n = normals[:, rows][:, here].astype(float)  # (3, n)
-        across = np.eye(3)[:, :, None] - n[:, None] * n[None]
-        hold = prior * np.maximum(w.sum(axis=0), 1e-3) / count
-        matrix = (
-            np.einsum("ln,lin,ljn->nij", w, v, v)
-            + np.moveaxis(hold * across, -1, 0)
-            + 1e-6 * np.eye(3)
-        )
-        right = np.einsum("ln,cln,lin->nic", w, stack[:, :, rows][:, :, here].astype(float), v)
-        solved = np.linalg.solve(matrix, right)  # (n, 3, C)
-        for c in range(channels):
-            result[c, rows][here] = solved[:, :, c]
+    result[:, here] = np.moveaxis(np.linalg.solve(matrix, right), 2, 0)
     return result

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from splitknit.imaging.geometry import sampled_at
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import View, view_of
-from splitknit.mirrors.reflection import Plane, Sight, shade_of
+from splitknit.mirrors.reflection import Plane, shade_of
 from splitknit.model import Camera, Led, Rig
-from splitknit_match.rolled.chart import Chart, heights, read, surface_normals
+from splitknit_match.rolled.chart import Chart, heights, surface_normals
 from splitknit_match.rolled.finger import _angles, _lengths, _sampled
+from splitknit_match.rolled.sight import Sight
 
 CAMERA = Camera(12.0, (420, 900))
 FOCAL = 12.0 * 140.0
@@ -78,9 +80,9 @@ def test_a_surface_goes_from_chart_to_chart() -> None:
 def test_values_beyond_the_border_are_nan_or_empty() -> None:
     field = np.arange(12.0, dtype=np.float32).reshape(3, 4)
     x, y = np.array([[1.5, -3.0]], np.float32), np.array([[1.0, 0.0]], np.float32)
-    assert read(field, x, y)[0, 0] == pytest.approx(5.5)
-    assert np.isnan(read(field, x, y)[0, 1])
-    assert read(field, x, y, empty=0.0)[0, 1] == 0.0
+    assert sampled_at(field, x, y, outside=np.nan)[0, 0] == pytest.approx(5.5)
+    assert np.isnan(sampled_at(field, x, y, outside=np.nan)[0, 1])
+    assert sampled_at(field, x, y, outside=0.0)[0, 1] == 0.0
 
 
 def test_the_front_sees_the_top_and_the_mirror_the_side() -> None:

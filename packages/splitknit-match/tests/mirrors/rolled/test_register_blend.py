@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.mirrors.reflection import Plane, Sight
+from splitknit.mirrors.reflection import Plane
 from splitknit.model import Camera
 from splitknit_match.prints.rolled import _coverage_deg
 from splitknit_match.rolled.chart import Chart, surface_normals
-from splitknit_match.rolled.finger import _angles, _lengths, _view_weight, blend
-from splitknit_match.rolled.parameters import STEEPEST_DEG
-from splitknit_match.rolled.register import ViewRidges, _shifts_by, align, ridges_of, search
+from splitknit_match.rolled.finger import STEEPEST_DEG, _angles, _lengths, _view_weight, blend
+from splitknit_match.rolled.register import ViewRidges, align, ridges_of, search
+from splitknit_match.rolled.sight import Sight
 
 CAMERA = Camera(12.0, (420, 900))
 LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
@@ -108,23 +108,6 @@ def test_a_side_that_no_mirror_shows_stays_as_it_is() -> None:
     assert empty.radius_mm.max() == 0.0
 
 
-def test_ridges_move_as_surface_and_mirror_do() -> None:
-    chart, radius = cylinder(7.0)
-    points = chart.points(radius)
-    _, rays = chart.rays()
-    at = np.array([70]), np.array([np.abs(chart.angle_rad - np.pi / 4).argmin()])
-    steps = np.gradient(points, axis=1)[at], np.gradient(points, axis=0)[at]
-    front, no_pose = _shifts_by(FRONT, points[at], rays[at], steps)
-    mirror, by_pose = _shifts_by(RIGHT, points[at], rays[at], steps)
-    column_mm = np.linalg.norm(steps[0])
-    # at 45 deg, where the surface rises by 1 mm, ridges of the front move by 1 mm to the side,
-    # those of the mirror back
-    assert front[0] * column_mm == pytest.approx([1.0, 0.0], abs=0.02)
-    assert mirror[0] * column_mm == pytest.approx([-1.0, 0.0], abs=0.02)
-    assert not no_pose.any()
-    assert abs(by_pose[0, 0, 2] * column_mm) == pytest.approx(2.0, abs=0.03)
-
-
 def test_views_fade_into_each_other() -> None:
     chart, radius = cylinder(7.0)
     points = chart.points(radius)
@@ -146,12 +129,3 @@ def test_views_fade_into_each_other() -> None:
     # from -72 deg of the front to the chart's end, less what fades out
     around = _coverage_deg(chart, blended.known, normals)
     assert np.median(around) == pytest.approx(72 + 100, abs=12)
-
-
-def test_relief_as_uncertain_as_ridges_are_deep_has_no_weight() -> None:
-    known = np.ones((60, 60), dtype=bool)
-    deviation = np.full((60, 60), 0.010, np.float32)
-    deviation[:, 30:] = 0.060
-    weight = _view_weight(np.ones((60, 60)), known, deviation, 0.1)
-    assert (weight[1:-1, 1:20] > 0).all()
-    assert not weight[:, 40:].any()
