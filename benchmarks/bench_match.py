@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from peers import library
 from splitknit.finger.orientation import find_upright
 from splitknit.finger.ridges import relief_print
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_match.matching.features import lbp_features
+from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import print_band, ridge_band
 from splitknit_match.matching.template import Template, make_template, pack, unpack
@@ -32,7 +33,7 @@ from splitknit_match.matching.thesis import (
     finger_images,
     thesis_match,
 )
-from splitknit_match.prints.minutiae import extract, minutiae_match, nfiq2
+from splitknit_match.prints.minutiae import extract, nfiq2
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
@@ -160,7 +161,7 @@ def minutiae(prints: list[NDArray[np.uint8]], rounds: int) -> None:
         "minutiae of a relief print": lambda: extract(prints[0]),
         "enhancement of a pressed print": lambda: pressed_ridges(prints[0]),
         "NFIQ 2 of a print": lambda: nfiq2(prints[0]),
-        "comparison of minutiae, both directions": lambda: minutiae_match(*templates),
+        "comparison of minutiae": lambda: minutiae_match(*templates),
     }
     import nbis
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from peers import library
 from splitknit.finger.orientation import find_upright
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_match.prints.curvature import curvature
 from splitknit_match.prints.enhance import gabor_enhance
 from splitknit_match.prints.make import Print, enhance, make_print

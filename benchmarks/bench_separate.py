@@ -20,17 +20,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument(
-        "--network", default="direct", help="shipped network, or path of an .onnx file"
-    )
     options = parser.parse_args()
     case = shadow_case()
     grey = case.stack * case.mask
     colours = np.repeat(grey[:, None], 3, axis=1)
     use_device(threads=1)
-    alone = load_network(options.network)
+    alone = load_network("direct")
     use_device(threads=2)
-    network = load_network(options.network)
+    network = load_network("direct")
     facts = network.card.facts
     print(
         f"Direct light, {' x '.join(map(str, grey.shape))}, network '{network.card.name}',"

@@ -21,7 +21,8 @@ from hardware import sizes
 from hardware.geometry import RigDimensions
 from splitknit.errors import require
 from splitknit.io.rig import read_rig
-from splitknit.model import Camera, Led, Rig, default_rig
+from splitknit.model import Camera, Led, Rig
+from splitknit.nominal import default_rig
 from splitknit_rig.capture.pins import (
     DEFAULT_PINS,
     PULSES_MS,

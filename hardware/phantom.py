@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from splitknit.io.mesh import triangulate
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_arrays
-from splitknit.model import FloatArray, Reconstruction
+from splitknit.model import FloatArray
+from splitknit.reconstruction import Reconstruction
 from splitknit_rig.calibration.phantom import MARKS_MM, PITCH_MM, PLATE_MM, phantom
 
 PLATE_THICK_MM = 2.0

@@ -38,16 +38,22 @@ from scenes import (
 )
 from splitknit.errors import require
 from splitknit.finger.locate import find_finger
-from splitknit.imaging.band import bin_mean
-from splitknit.model import default_rig
+from splitknit.imaging.pixels import bin_mean
+from splitknit.nominal import default_rig
+from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
 from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT
-from splitknit.skin.learned import RELIEF_MM, RELIEF_SYMMETRY, azimuth_waves, features
+from splitknit.skin.learned import (
+    RELIEF_MM,
+    RELIEF_SYMMETRY,
+    RIDGE_BAND_MM,
+    azimuth_waves,
+    features,
+)
 from splitknit.skin.light import fine_lighting, slant_of, trust_of
-from splitknit.skin.parameters import COARSE_PITCH_MM, RIDGE_BAND_MM
-from splitknit.skin.shape import coarse_images, coarse_shape, on_fine_grid
+from splitknit.skin.shape import COARSE_PITCH_MM, coarse_images, coarse_shape, on_fine_grid
 from splitknit_simulator.camera.sensor import record
 from splitknit_simulator.finger.finger import PoseRanges, finger_surface
 from splitknit_simulator.light.renderer import RenderSettings, render_band
@@ -91,9 +97,10 @@ def training_sample(number, prints=None):
     finger, rig, twin = draw_scene(number, rng, scale, prints)
     capture, truth = photograph_scene(number, finger, rig, replace(twin, sensor=draw_sensor(rng)))
     settings = preset_settings("metric")
-    located = find_finger(capture, settings)
-    lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
-    grid, bands, binning = skin_images(capture, lit, located.window, located.inside)
+    observation = observe(capture)
+    located = find_finger(observation, settings)
+    lit = tuple(light for name, light in observation.bands.items() if name in {"white", "nir"})
+    grid, bands, binning = skin_images(lit, located.window, located.inside)
     images = coarse_images(bands, grid, settings.metric.plane_mm)
     optics = settings.skin.optics(images.channels)
     measured = on_fine_grid(

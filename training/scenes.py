@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from splitknit.imaging.band import bin_mean
-from splitknit.model import default_rig
+from splitknit.imaging.pixels import bin_mean
+from splitknit.nominal import default_rig
 from splitknit_simulator.camera.sensor import SensorSettings
 from splitknit_simulator.finger.finger import draw_finger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrintSettings

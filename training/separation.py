@@ -21,15 +21,16 @@ import cv2
 import numpy as np
 
 from palms import draw_palm, palm_surface
+from projector import Checkerboard, checkerboard_stack, separate_truth
 from scenes import HELD_OUT_FROM
 from splitknit.finger.contrast import ClaheSettings, clahe
-from splitknit.imaging.band import GREY_WEIGHTS
-from splitknit.model import Camera, Led, default_rig
+from splitknit.imaging.pixels import GREY_WEIGHTS
+from splitknit.model import Camera, Led
+from splitknit.nominal import default_rig
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.direct import exposure_level, local_level
 from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings, record
 from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
-from splitknit_simulator.light.separation import Checkerboard, checkerboard_stack, separate_truth
 from splitknit_simulator.light.skin import SkinRanges
 
 IMAGE_SIZE = (1018, 768)  # rows and columns of a palm's photograph

@@ -35,14 +35,22 @@ from scenes import (
 )
 from splitknit.errors import require
 from splitknit.finger.locate import find_finger
-from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients
+from splitknit.imaging.pixels import bin_mean
 from splitknit.methods.metric import metric_skin
+from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
 from splitknit.skin.grid import coarsen
 from splitknit.skin.images import skin_images
-from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, SHAPE_SYMMETRY, Networks, can_learn
-from splitknit.skin.parameters import COARSE_PITCH_MM, RIDGE_BAND_MM
+from splitknit.skin.learned import (
+    RELIEF_MM,
+    RIDGE_BAND_MM,
+    SHAPE_SLOPE,
+    SHAPE_SYMMETRY,
+    Networks,
+    can_learn,
+)
+from splitknit.skin.shape import COARSE_PITCH_MM
 
 FINGERS = 160
 FIRST_FINGER = 5000
@@ -74,9 +82,10 @@ def shape_sample(number, prints=None):
     gain = max(float(rng.normal(RELIEF_GAIN, RELIEF_GAIN_SD)), 0.1)
     capture, truth = photograph_scene(number, finger, rig, replace(twin, sensor=draw_sensor(rng)))
     settings = preset_settings("metric")
-    located = find_finger(capture, settings)
-    lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
-    grid, bands, binning = skin_images(capture, lit, located.window, located.inside)
+    observation = observe(capture)
+    located = find_finger(observation, settings)
+    lit = tuple(light for name, light in observation.bands.items() if name in {"white", "nir"})
+    grid, bands, binning = skin_images(lit, located.window, located.inside)
     require(
         can_learn(bands[0], grid.pitch_mm),
         "the lights or pixels are not such that a network draws the relief.",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import splitknit
 import splitknit_simulator
 from splitknit.accuracy import Comparison, compare
-from splitknit.model import Reconstruction
+from splitknit.reconstruction import Reconstruction
 from splitknit_simulator.finger.finger import draw_finger
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture

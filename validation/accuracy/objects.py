@@ -24,12 +24,13 @@ from pathlib import Path
 import numpy as np
 
 from splitknit import reconstruct
+from splitknit.capture import Band, Capture
 from splitknit.errors import BadInput, require
 from splitknit.io.light_list import read_light_list
 from splitknit.io.npz import read_npz
 from splitknit.io.photographs import GivenPhotographs
-from splitknit.io.plain import capture_from_photographs
-from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Rig
+from splitknit.model import BoolArray, Camera, FloatArray, Led, Rig
+from splitknit.observation.plain import capture_from_photographs
 
 PRESETS = {
     "metric": ("metric", {}),

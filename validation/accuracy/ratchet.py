@@ -19,6 +19,7 @@ from typing import Any
 from summary import ROWS
 
 HERE = Path(__file__).resolve().parent
+THRESHOLDS = HERE / "thresholds.json"
 MAX_LOSS = 0.01
 COMPARED_SETTINGS = ("scale", "fingers", "impressions", "first_seed")
 """What must agree for figures to be comparable."""
@@ -83,20 +84,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--update", action="store_true")
     parser.add_argument("--reset", action="store_true")
     parser.add_argument("--results", type=Path, default=HERE / "results.json")
-    parser.add_argument("--thresholds", type=Path, default=HERE / "thresholds.json")
     options = parser.parse_args(arguments)
     results = json.loads(options.results.read_text())
     if options.reset:
         kept = stored(results)
         worse = []
     else:
-        thresholds = json.loads(options.thresholds.read_text())
+        thresholds = json.loads(THRESHOLDS.read_text())
         worse = slipped(results, thresholds)
         kept = tightened(results, thresholds) if options.update and not worse else thresholds
     if kept:
-        options.thresholds.write_text(
-            json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="ascii"
-        )
+        THRESHOLDS.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="ascii")
     print("\n".join(worse) or "no figure slipped")
     return int(bool(worse))
 

@@ -30,9 +30,10 @@ import numpy as np
 from scipy.io import loadmat
 
 from splitknit import reconstruct
+from splitknit.capture import Band, Capture
 from splitknit.errors import BadInput, require
 from splitknit.io.images import read_image
-from splitknit.model import Band, Camera, Capture, Led, Rig
+from splitknit.model import Camera, Led, Rig
 from splitknit_match import match
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.scores import Scores, ids_of

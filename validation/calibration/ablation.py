@@ -28,9 +28,12 @@ from typing import Any
 import numpy as np
 
 from splitknit.accuracy import compare
+from splitknit.capture import Capture
 from splitknit.io.rig import read_rig
-from splitknit.model import Capture, Led, Reconstruction, Rig, nominal_rig
+from splitknit.model import Led, Rig
+from splitknit.nominal import nominal_rig
 from splitknit.pipeline import reconstruct
+from splitknit.reconstruction import Reconstruction
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
@@ -167,10 +170,7 @@ def measure(seed: int, true: Rig, calibrated: Rig) -> list[dict[str, Any]]:
     capture, truth = simulate_capture(FIRST_FINGER + seed, settings=TwinSettings(rig=true))
     records = []
     for name, (rig, settings) in rows(true, calibrated, nominal_rig(scale)).items():
-        bands = {
-            key: replace(band, shading=rig.camera.shading) for key, band in capture.bands.items()
-        }
-        result = reconstruct(replace(capture, rig=rig, bands=bands), settings=settings)
+        result = reconstruct(replace(capture, rig=rig), settings=settings)
         records.append({"rig": seed, "row": name, **figures(result, capture, truth)})
     return records
 

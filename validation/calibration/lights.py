@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.model import Rig, default_rig
+from splitknit.model import Rig
+from splitknit.nominal import default_rig
 from splitknit_rig.calibration.lights import BANDS, Circle, Tip, by_circle
 from splitknit_rig.calibration.nail import Nail, by_joint_fit
 from splitknit_rig.calibration.shadow import find_nail
@@ -66,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "rigs": chosen.rigs,
     }
     results["cases"] = tables(chosen.rigs, chosen.nail_mm)
+    results["circle_less_drawing"] = circle_less_drawing(chosen.nail_mm)
     if chosen.photographs:
         results["photographs"] = {
             "rigs": chosen.photographs,
@@ -113,6 +115,19 @@ def tables(rigs: int, nail_mm: float) -> dict[str, Any]:
         }
         for name, values in errors.items()
     }
+
+
+def circle_less_drawing(nail_mm: float, rigs: int = 2000) -> dict[str, Any]:
+    """Mean error in degrees of the thesis's construction less that of the drawing, rig by rig."""
+    drawn, differences = default_rig().leds, []
+    for seed in range(rigs):
+        rig = built_rig(seed)
+        tips = noisy_table(rig, TWO_PLACES_MM, nail_mm, np.random.default_rng([seed, 0x11]))
+        found = by_circle(tips, rig.camera, CIRCLE)[0]
+        differences.append(float(_errors(found, rig).mean() - _errors(drawn, rig).mean()))
+    reach = 1.96 * float(np.std(differences, ddof=1)) / rigs**0.5
+    mean = float(np.mean(differences))
+    return {"rigs": rigs, "mean": mean, "mean_interval": [mean - reach, mean + reach]}
 
 
 def photographs(rigs: int, scale: float, nail_mm: float) -> dict[str, Any]:
@@ -178,6 +193,12 @@ def summary(results: dict[str, Any]) -> str:
             else f"{100 * row['inside_95']:.0f} % of {row['interval_deg']:.2f} deg"
         )
         lines.append(f"| {name} | {_words(row)} | {fraction} |")
+    paired = results["circle_less_drawing"]
+    low, high = paired["mean_interval"]
+    lines.append(
+        f"circle less drawing, {paired['rigs']} rigs: {paired['mean']:+.3f}"
+        f" [{low:+.3f}, {high:+.3f}] deg"
+    )
     if "photographs" in results:
         row = results["photographs"]
         lines.append(f"| photographs, joint fit, four positions | {_words(row)} | - |")

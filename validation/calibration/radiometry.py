@@ -2,7 +2,7 @@
 them.
 
     python validation/calibration/radiometry.py  # 20 rigs: about six minutes of one core
-    python validation/calibration/radiometry.py --rigs 2 --fingers 1 --out FILE
+    python validation/calibration/radiometry.py --rigs 2 --out FILE
 
 Each rig is drawn from the tolerances of ``simulate.built_rig``: camera, lens, places, aims, beams
 and brightness of 14 LEDs. The twin photographs a white card; the calibration knows the camera and
@@ -35,9 +35,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--rigs", type=int, default=20, help="built rigs (default: 20)")
-    parser.add_argument(
-        "--fingers", type=int, default=8, help="simulated fingers for the drift (default: 8)"
-    )
     parser.add_argument("--out", type=Path, default=HERE / "radiometry.json")
     parser.add_argument("--tables", type=Path, help="folder for the tables as CSV")
     options = parser.parse_args(arguments)
@@ -50,7 +47,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "scale": SCALE,
         "plane": plane(seeds, SCALE),
         "heights": heights(seeds, SCALE),
-        "drift": drift(options.fingers, FIRST_SEED),
     }
     options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="ascii")
     print(summary(results))
@@ -175,46 +171,6 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
     ]
 
 
-def drift(fingers: int, first_seed: int) -> dict[str, Any]:
-    """Gains of LEDs by captures of fingers: false alarms, and what becomes of a single LED that
-    drifts."""
-    import numpy as np
-
-    from splitknit.diagnosis.response import drifted_light, image_gains
-    from splitknit.imaging.band import linear_stack
-    from splitknit_simulator.scene import TwinSettings
-    from splitknit_simulator.twin import simulate_capture
-
-    errors_found, named, asked = {0.95: [], 0.88: []}, 0, 0
-    captures, alarms = 0, 0
-    for seed in range(first_seed, first_seed + fingers):
-        capture, truth = simulate_capture(seed, None, TwinSettings(scale=0.12))
-        for band in capture.bands.values():
-            lights = capture.rig.select(band.leds).light_vectors()
-            light = linear_stack(band, capture.encoding)[None][..., np.asarray(truth["mask"])]
-            vectors = np.repeat(lights[..., None], light.shape[-1], axis=-1)
-            captures += 1
-            alarms += drifted_light(image_gains(light, vectors)[0], lights) is not None
-            for gain, own in errors_found.items():
-                led = (seed + int(100 * gain)) % 7
-                gains = np.where(np.arange(7) == led, gain, 1.0).astype(np.float32)
-                drift = drifted_light(image_gains(light * gains[:, None], vectors)[0], lights)
-                asked += 1
-                good = drift is not None and drift[0] == led
-                named += good
-                own.append(100 * abs(drift[1] - gain) if good else float("nan"))
-    return {
-        "captures": captures,
-        "false_alarms": alarms,
-        "named": named,
-        "asked": asked,
-        "gain_error_percent": {
-            str(gain): interval([v for v in own if np.isfinite(v)])
-            for gain, own in errors_found.items()
-        },
-    }
-
-
 def _pixels(rig: Any) -> Any:
     import numpy as np
 
@@ -323,20 +279,6 @@ def summary(results: dict[str, Any]) -> str:
             f"| {row['height_mm']:g} | {row['way']} | {_words(worst, 1)} | {_words(lights)} |"
             f" {lean['mean']:.2f} deg | {far['mean']:.2f} deg |"
         )
-    drift = results["drift"]
-    errors_found = ", ".join(
-        f"{100 * (1 - float(gain)):.0f} %: {_words(v)}"
-        for gain, v in drift["gain_error_percent"].items()
-        if v
-    )
-    lines += [
-        "",
-        (
-            f"Drift by fingers: {drift['captures']} stacks, {drift['false_alarms']} false alarms;"
-            f" single LEDs named {drift['named']} of {drift['asked']}; error of their gain at"
-            f" {errors_found}."
-        ),
-    ]
     return "\n".join(lines)
 
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splitknit.model import Band, Capture, Rig
+from splitknit.capture import Ambient, Band, Capture
+from splitknit.model import Rig
 from splitknit_simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.flat import CardScene
 from splitknit_simulator.camera.sensor import SensorSettings
@@ -80,7 +81,6 @@ def photograph(scene: CardScene, stored: Rig, case: Case, seed: int) -> Capture:
             leds=tuple(lit),
             exposure=np.full(len(lit), exposure),
             black_level=np.zeros(len(lit)),
-            ambient=shots[-1],
-            ambient_exposure=exposure,
+            ambient=Ambient(shots[-1], exposure),
         )
     return Capture(rig=stored, bands=bands, encoding=case.sensor.encoding, material="opaque")

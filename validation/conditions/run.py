@@ -26,9 +26,8 @@ import numpy as np
 import splitknit_simulator.finger.finger as drawing
 from splitknit.accuracy import compare
 from splitknit.errors import BadInput
-from splitknit.model import Reconstruction, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.steps import Memory
+from splitknit.reconstruction import Reconstruction, surface_of
 from splitknit_match.matching.methods import rate
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import surface_template
@@ -116,11 +115,11 @@ def print_facts(result: Reconstruction) -> dict[str, Any]:
 
 
 def row_of(
-    capture: Any, truth: Any, preset: str, memory: Memory, gallery_template: Template | None
+    capture: Any, truth: Any, preset: str, gallery_template: Template | None
 ) -> tuple[dict, Template | None]:
     """What one preset makes of a capture, and its template."""
     try:
-        result = reconstruct(capture, preset, memory=memory)
+        result = reconstruct(capture, preset)
     except BadInput as refusal:
         return {"exit": 2, "refused": str(refusal)}, None
     figures = compare(result, truth).figures
@@ -180,13 +179,12 @@ def main() -> None:
             options.scale,
             keep=options.keep and not options.scale,
         )
-        memory = Memory(capture)
         for preset in missing:
             template_file = gallery / f"{seed}_{preset}.npz"
             gallery_template = None
             if impression != 1 and template_file.is_file():
                 gallery_template = unpack(bytes(np.load(template_file)["payload"]))
-            row, template = row_of(capture, truth, preset, memory, gallery_template)
+            row, template = row_of(capture, truth, preset, gallery_template)
             if impression == 1 and template is not None:
                 _keep(template_file, template)
             row = {

@@ -4,8 +4,7 @@ with ``keep``.
 ``python validation/damaged/run.py`` (simulator; some minutes) writes ``tables/damaged.csv``: a row
 for each damage and finger. With ``--sound N`` it counts how many of N sound captures are doubted;
 ``--first`` is the first's seed, and ``--factor 2`` states twice their scale, which is to be
-doubted. ``--mistakes`` makes mistakes of the camera and the rig instead (``tables/mistakes.csv``):
-``named`` is 1 where a doubt has the cause's word.
+doubted.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import cv2
 import numpy as np
 
 from splitknit import BadInput, compare, reconstruct
-from splitknit.model import Capture
+from splitknit.capture import Capture
 from splitknit_simulator import simulate_capture
 
 TABLES = Path(__file__).parent / "tables"
@@ -30,7 +29,6 @@ COLUMNS = (
     "finger",
     "refused",
     "noted",
-    "named",
     "first_words",
     "surface_rms_mm",
     "ridge_correlation",
@@ -141,113 +139,6 @@ def damages(capture: Capture, second_finger: Capture) -> dict[str, Capture]:
     }
 
 
-def graded(
-    capture: Capture, names: str, change: Callable[[Pixels, int], Pixels], *, ambient: bool = True
-) -> Capture:
-    """Every image (H, W, C) in [0, 1], and its number, changed; the ambient one is number -1, or
-    left out."""
-
-    def whole(pixels: Pixels, k: int) -> Pixels:
-        top = float(np.iinfo(pixels.dtype).max)
-        return np.clip(np.rint(top * change(pixels.astype(np.float32) / top, k)), 0, top).astype(
-            pixels.dtype
-        )
-
-    bands = dict(capture.bands)
-    for name in names.split():
-        band = bands[name]
-        room = None if band.ambient is None or not ambient else whole(band.ambient, -1)
-        images = np.stack([whole(image, k) for k, image in enumerate(band.pixels)])
-        bands[name] = replace(band, pixels=images, ambient=room)
-    return replace(capture, bands=bands)
-
-
-def stated(
-    capture: Capture, across: float = 1.0, up_mm: float = 0.0, aside_mm: float = 0.0
-) -> Capture:
-    """A rig file whose LEDs stand elsewhere: their ring `across` times as wide, higher, and moved
-    along x."""
-    leds = [(led, led.position_mm) for led in capture.rig.leds]
-    moved = tuple(
-        replace(led, position_mm=(across * at[0] + aside_mm, across * at[1], at[2] + up_mm))
-        for led, at in leds
-        if at
-    )
-    return replace(capture, rig=replace(capture.rig, leds=moved))
-
-
-def mistakes(capture: Capture, truth: dict[str, Any], seed: int) -> dict[str, tuple[Capture, str]]:
-    """What people do wrong with a camera or a rig file, and the word that names it."""
-    rng = np.random.default_rng(seed)
-    both = "white nir"
-    gains = 1 + rng.uniform(-0.15, 0.15, (9, 3)).astype(np.float32)
-    level = float(np.quantile(capture.bands["white"].pixels[:, truth["mask"]], 0.9)) / 255
-    facing = np.nan_to_num(np.clip(truth["normals"] @ [0.3, 0.2, 0.93], 0, 1)).astype(np.float32)[
-        ..., None
-    ]
-    px = capture.rig.camera.px_per_mm
-    row, column = np.argwhere(truth["mask"]).mean(axis=0)
-    i, j = np.indices(truth["mask"].shape)
-    plaster = (np.abs(i - row) < 4 * px) & (np.abs(j - column) < 5 * px)
-
-    def around(x: Pixels, sigma: float) -> Pixels:
-        return cv2.GaussianBlur(x.mean(axis=2), (0, 0), sigma)[..., None]
-
-    def covered(x: Pixels, _: int) -> Pixels:
-        smooth = cv2.GaussianBlur(x, (0, 0), 0.6 * px).reshape(x.shape)
-        beige = smooth.mean(axis=2, keepdims=True) * np.linspace(
-            1.1, 0.8, x.shape[2], dtype=np.float32
-        )
-        weave = 1 + 0.04 * np.sin(2 * np.pi * i / (0.3 * px)) * np.sin(2 * np.pi * j / (0.3 * px))
-        return np.where(plaster[..., None], beige * weave[..., None], x).astype(np.float32)
-
-    curves: dict[str, tuple[Callable[[Pixels, int], Pixels], str, str]] = {
-        "BGR for RGB": (lambda x, _: x[..., ::-1], "white", "blue, green, red"),
-        "white balance +-15 % an image": (
-            lambda x, k: x * gains[k][: x.shape[2]],
-            both,
-            "white balance",
-        ),
-        "gamma 0.8": (lambda x, _: x**0.8, both, "gamma"),
-        "S curve": (lambda x, _: x * x * (3 - 2 * x), both, "tone curve"),
-        "film's curve": (lambda x, _: 1.5 * x / (x + 0.5), both, "tone curve"),
-        "night mode": (
-            lambda x, _: x * 0.33 / (0.15 + around(x, x.shape[1] / 30)),
-            both,
-            "night mode",
-        ),
-        "local contrast": (
-            lambda x, _: x * np.sqrt(0.3 / np.maximum(around(x, 2 * px), 0.05)),
-            both,
-            "local contrast",
-        ),
-        "clipped at 1.6 times": (lambda x, _: 1.6 * x, both, "clipped"),
-        "plaster on the pad": (covered, both, "no ridges"),
-    }
-    without = {
-        "room lamp 30 %": (lambda x, _: x + 0.3 * level * facing, both, "room"),
-        "haze": (
-            lambda x, _: 0.8 * cv2.GaussianBlur(x, (0, 0), 1.2).reshape(x.shape) + 0.12,
-            both,
-            "haze",
-        ),
-    }
-    return {
-        "none": (capture, ""),
-        **{
-            name: (graded(capture, on, change), word) for name, (change, on, word) in curves.items()
-        },
-        **{
-            name: (graded(capture, on, change, ambient=False), word)
-            for name, (change, on, word) in without.items()
-        },
-        "LEDs 40 mm lower than stated": (stated(capture, up_mm=40), "LEDs"),
-        "LEDs 60 mm higher than stated": (stated(capture, up_mm=-60), "LEDs"),
-        "ring 8 mm aside": (stated(capture, aside_mm=8), "LEDs"),
-        "ring of 40 for 52.5 mm": (stated(capture, across=40 / 52.5), "LEDs"),
-    }
-
-
 def row_of(name: str, finger: int, capture: Capture, truth: dict[str, Any]) -> dict[str, Any]:
     """Reconstruct, and again with `keep` where that is refused."""
     row: dict[str, Any] = dict.fromkeys(COLUMNS, "") | {
@@ -259,7 +150,7 @@ def row_of(name: str, finger: int, capture: Capture, truth: dict[str, Any]) -> d
     try:
         result = reconstruct(capture, "metric")
     except BadInput as refusal:
-        row |= {"refused": 1, "first_words": str(refusal)[:90], "said": str(refusal)}
+        row |= {"refused": 1, "first_words": str(refusal)[:90]}
         try:
             result = reconstruct(capture, "metric", {"keep": True})
         except BadInput:
@@ -267,7 +158,6 @@ def row_of(name: str, finger: int, capture: Capture, truth: dict[str, Any]) -> d
     else:
         row["noted"] = int(any(finding.severity != "note" for finding in result.findings))
         row["first_words"] = result.warnings[0][:90] if row["noted"] else ""
-        row["said"] = " ".join(result.warnings)
     figures = compare(result, truth).figures
     return row | {
         key: round(figures[key], 3) for key in ("surface_rms_mm", "ridge_correlation", "ridge_gain")
@@ -312,7 +202,6 @@ def main() -> None:
     parser.add_argument("--sound", type=int, default=0)
     parser.add_argument("--first", type=int, default=1120)
     parser.add_argument("--factor", type=float, default=1.0)
-    parser.add_argument("--mistakes", action="store_true")
     options = parser.parse_args()
     if options.sound:
         doubted_count = doubted(options.sound, options.first, options.factor)
@@ -324,23 +213,12 @@ def main() -> None:
             simulate_capture(seed, settings={"scale": options.scale})
             for seed in (finger, finger + 18)
         )
-        if options.mistakes:
-            cases = mistakes(capture, dict(truth), finger)
-        else:
-            cases = {
-                name: (damaged, "") for name, damaged in damages(capture, second_finger).items()
-            }
-        for name, (damaged, word) in cases.items():
+        for name, damaged in damages(capture, second_finger).items():
             row = row_of(name, finger, damaged, dict(truth))
-            warnings = row.pop("said", "")
-            row["named"] = int(bool(word) and word in warnings)
             rows.append(row)
             print(row, flush=True)
-    columns = COLUMNS if options.mistakes else tuple(name for name in COLUMNS if name != "named")
-    with (TABLES / ("mistakes.csv" if options.mistakes else "damaged.csv")).open(
-        "w", newline=""
-    ) as stream:
-        writer = csv.DictWriter(stream, columns, lineterminator="\n", extrasaction="ignore")
+    with (TABLES / "damaged.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
 

@@ -34,6 +34,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from bozorth3 import bozorth3
 from numpy.typing import NDArray
 from pressed_prints import PULLED, finger, press
 
@@ -42,9 +43,9 @@ from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.scores import Scores, ids_of
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
+from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
-from splitknit_match.prints.from_file import print_minutiae
-from splitknit_match.prints.minutiae import at_500_ppi, extract, minutiae_match
+from splitknit_match.prints.minutiae import at_500_ppi, extract
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "fvc.json"
@@ -83,7 +84,7 @@ class System:
 
 FEATURES: dict[str, Callable[[Image], Any]] = {
     "template": print_template,
-    "phase": print_minutiae,
+    "phase": lambda image: print_template(image).minutiae,
     "enhanced": lambda image: extract(image, enhance=True),
     "raw": lambda image: extract(image, edge_mm=0.0),
 }
@@ -103,13 +104,19 @@ def ridges(a: Any, b: Any) -> float:
 
 def bozorth(a: Any, b: Any) -> float:
     """bozorth3, as nbis-py has it."""
+    return bozorth3(a, b) if a.acquired and b.acquired else float("nan")
+
+
+def minutiae(a: Any, b: Any) -> float:
+    """Minutiae alone."""
     return minutiae_match(a, b) if a.acquired and b.acquired else float("nan")
 
 
 SYSTEMS = {
     "fusion": System("template", Prepared, fused),
     "ridge": System("template", Prepared, ridges),
-    "minutiae": System("phase", lambda features: features, bozorth),
+    "minutiae": System("phase", lambda features: features, minutiae),
+    "bozorth3": System("phase", lambda features: features, bozorth),
     "enhanced": System("enhanced", lambda features: features, bozorth),
     "nbis-py": System("raw", lambda features: features, bozorth),
 }

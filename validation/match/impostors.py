@@ -1,7 +1,6 @@
 """False match rates of the matchers: all pairs of many simulated fingers, one impression each.
 
     python validation/match/impostors.py ridge fusion minutiae_of_prints --fingers 150
-    python validation/match/impostors.py minutiae --fingers 250 --seed 60000
 
 writes the tables that ``splitknit match`` reads,
 ``packages/splitknit-match/src/splitknit_match/matching/match_fmr*.json``: scores alone. Surfaces
@@ -24,16 +23,15 @@ import numpy as np
 from pressed_prints import finger, press
 
 from splitknit.finger.orientation import find_upright
-from splitknit.finger.ridges import surface_print
-from splitknit.model import Surface, default_rig
+from splitknit.nominal import default_rig
+from splitknit.reconstruction import Surface
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import TABLES
+from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.score import calibrate_scores
 from splitknit_match.matching.surface import surface_template
-from splitknit_match.prints.from_file import print_minutiae
-from splitknit_match.prints.minutiae import extract, minutiae_match
 from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 
 FOLDER = (
@@ -101,10 +99,9 @@ ROUTES = {
         lambda a, b: fused_match(a, b).similarity,
         "presses",
     ),
-    "minutiae": Route(
-        FINE, lambda surface: extract(surface_print(surface)), minutiae_match, "relief prints"
+    "minutiae_of_prints": Route(
+        pressed, lambda press: print_template(press).minutiae, minutiae_match, "presses"
     ),
-    "minutiae_of_prints": Route(pressed, print_minutiae, minutiae_match, "presses"),
 }
 
 

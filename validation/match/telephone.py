@@ -36,8 +36,7 @@ from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import FmrTable, calibrate_scores
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.fingerphoto import finger_of_photo
-from splitknit_match.prints.parameters import MIN_QUALITY
+from splitknit_match.prints.fingerphoto import MIN_QUALITY, finger_of_photo
 from splitknit_simulator.finger.finger import draw_finger
 
 TABLES = Path(__file__).resolve().parent / "tables"
@@ -501,11 +500,10 @@ def scores(count: int, work: Path, write: bool) -> None:
 
 
 def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
-    """Tables of impostors: of all, of two photographs, of a photograph and a press."""
+    """Tables of impostors: of two photographs, of a photograph and a press."""
     fmr_tables = {}
     fingers = len({str(row["a"])[:-2] for row in rows})
     for kind, what, sides in (
-        ("", "against each other and presses", (True, False)),
         ("_alone", "against each other", (False,)),
         ("_and_prints", "against presses", (True,)),
     ):

@@ -30,9 +30,8 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from splitknit_match.matching import fusion
-from splitknit_match.matching.fusion import fused_match
+from splitknit_match.matching.fusion import SMALL_MM2, fused_match
 from splitknit_match.matching.methods import TABLES
-from splitknit_match.matching.parameters import SMALL_MM2
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import calibrate_scores
 

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from splitknit.imaging.geometry import sampled_at
 from splitknit.io.capture import read_capture
 from splitknit.presets import preset_settings
 from splitknit.skin.images import MetricSettings
 from splitknit_match.prints.rolled import rolled_facts
-from splitknit_match.rolled.chart import read
-from splitknit_match.rolled.finger import Blended, Rolled, rolled_finger
-from splitknit_match.rolled.parameters import STEEPEST_DEG
+from splitknit_match.rolled.finger import STEEPEST_DEG, Blended, Rolled, rolled_finger
 from splitknit_match.rolled.register import ridges_of
 from splitknit_match.rolled.views import find_mirror_views
 
@@ -129,7 +128,7 @@ def _truth_of(rolled: Rolled, view: int, truth: dict[str, Any]) -> NDArray[np.fl
         np.float32
     )
     places = rolled.places[view, ::PIXEL_STEP, ::PIXEL_STEP]
-    return read(field, places[..., 0], places[..., 1])
+    return sampled_at(field, places[..., 0], places[..., 1], outside=np.nan)
 
 
 def ridges_apart(rolled: Rolled, truth: dict[str, Any]) -> dict[str, float | None]:
@@ -147,7 +146,8 @@ def ridges_apart(rolled: Rolled, truth: dict[str, Any]) -> dict[str, float | Non
         )
         at = rolled.places[view, ::PIXEL_STEP, ::PIXEL_STEP]
         parts = [
-            read(np.ascontiguousarray(field[..., k]), at[..., 0], at[..., 1]) for k in range(2)
+            sampled_at(np.ascontiguousarray(field[..., k]), at[..., 0], at[..., 1], outside=np.nan)
+            for k in range(2)
         ]
         skin.append(np.stack(parts, axis=-1))
     length = rolled.chart.length_mm[::PIXEL_STEP, None]

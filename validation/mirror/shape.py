@@ -25,12 +25,14 @@ from typing import Any
 import cv2
 import numpy as np
 
+from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.mirrors.captured import found_views, skin_slopes
 from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
-from splitknit.model import Capture, Mirror
+from splitknit.model import Mirror
+from splitknit.observation.observe import observe
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
@@ -98,12 +100,14 @@ def in_cases(
         own = MirrorShapeSettings(method=method)
         try:
             if off not in seen:
-                seen[off] = found_views(taken)
+                seen[off] = found_views(observe(taken))
             views, grey = seen[off]
             part = Views(
                 views.front, {n: m for n, m in views.mirrors.items() if n in mirrors}, views.binning
             )
-            slopes_on = partial(skin_slopes, taken, grey, views) if with_slopes else None
+            slopes_on = (
+                partial(skin_slopes, observe(taken).white.rig, grey, views) if with_slopes else None
+            )
             shape = mirror_shape(part, taken.rig, own, slopes_on=slopes_on)
             yield case, rms_mm(shape, truth)
         except BadInput as error:

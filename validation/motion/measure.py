@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from splitknit import read_capture, reconstruct
 from splitknit.accuracy import compare
+from splitknit.capture import Capture
 from splitknit.errors import BadInput
-from splitknit.model import Capture, Reconstruction
+from splitknit.reconstruction import Reconstruction
 
 Truth = Mapping[str, NDArray[Any]]
 MARGIN_MM = 1.0

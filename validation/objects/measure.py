@@ -1,6 +1,6 @@
 """Rendered objects under anybody's lights: what is noticed, and how accurate the surface is.
 
-    python validation/objects/measure.py [lights] [faults] [sound] [brightness] [unknown]
+    python validation/objects/measure.py [lights] [faults] [sound] [brightness] [gloss] [unknown]
 
 Each writes tables/NAME.json; `unknown` takes the bear of DiLiGenT too, where the data lie
 ($SPLITKNIT_DATA). Objects are those of render.py, with seeds that nothing was tuned on.
@@ -15,11 +15,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import glossy
 import numpy as np
 from render import PX_PER_MM, SHAPES, Rendered, rendered, spoilt
 
 import splitknit
 from splitknit.errors import BadInput
+from splitknit.observation.plain import capture_of_arrays
 
 TABLES = Path(__file__).with_name("tables")
 FIRST_SEED = 200
@@ -98,15 +100,17 @@ def faults() -> dict[str, object]:
 
 
 def sound() -> dict[str, object]:
-    """Notes on good sets of eight photographs: none is due but on a dish, that it comes out
-    hollow."""
-    alarms, hollow = {}, []
+    """Notes on good sets of eight photographs: none is due but that it shines, as some do, and on a
+    dish that it comes out hollow."""
+    alarms, hollow, shine = {}, [], 0
     seeds = (*range(FIRST_SEED, FIRST_SEED + 50), *range(2 * FIRST_SEED, 2 * FIRST_SEED + 50))
     for seed in seeds:
         findings = errors(rendered(seed))[2].findings
         if SHAPES[seed % len(SHAPES)] == "dish":
             hollow += [seed] if any(finding.code == "hollow" for finding in findings) else []
             findings = tuple(finding for finding in findings if finding.code != "hollow")
+        shine += any(finding.code == "glossy" for finding in findings)
+        findings = tuple(finding for finding in findings if finding.code != "glossy")
         if findings:
             alarms[str(seed)] = [str(finding) for finding in findings]
     return {
@@ -114,6 +118,7 @@ def sound() -> dict[str, object]:
         "with_alarm": len(alarms),
         "alarms": alarms,
         "dishes_named_hollow": len(hollow),
+        "named_glossy": shine,
     }
 
 
@@ -136,6 +141,25 @@ def brightness() -> dict[str, object]:
         rows["eight_colours"].append(errors(equal, images)[0] - base)
         rows["eight_colours_given"].append(errors(equal, images, colours)[0] - base)
     return {name: spread(values) for name, values in rows.items()}
+
+
+def gloss() -> dict[str, object]:
+    """Median error of the normals of gloss and metal, by the default and by a matt model; near
+    lights are given as distant ones."""
+    rows: dict[str, object] = {}
+    for name, thing in glossy.THINGS.items():
+        target = glossy.photographed(*thing)
+        units = target.lights / np.linalg.norm(target.lights, axis=1, keepdims=True)
+        of_method = {}
+        for label, method in (("default", "near_light"), ("matt", "robust")):
+            capture, _ = capture_of_arrays(target.images, units, target.mask, PX_PER_MM, None)
+            settings = {"normals.method": method}
+            result = splitknit.reconstruct(capture, settings=settings)
+            cosine = (result.normals_measured * target.normals).sum(axis=2)[target.mask]
+            off = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
+            of_method[f"{label}_deg"] = round(off, 2)
+        rows[name] = of_method
+    return rows
 
 
 def unknown() -> dict[str, object]:
@@ -206,6 +230,7 @@ PARTS: dict[str, Callable[[], dict[str, object]]] = {
     "faults": faults,
     "sound": sound,
     "brightness": brightness,
+    "gloss": gloss,
     "unknown": unknown,
 }
 

@@ -8,8 +8,10 @@ gloss of the material, and a surface whose relief is weaker and smoother, or fla
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -17,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from splitknit.capture import Capture
 from splitknit.errors import require
-from splitknit.model import Capture, FloatArray, Led
+from splitknit.model import FloatArray, Led
 from splitknit_simulator.light.renderer import BandLight, render_band
 from splitknit_simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
 from splitknit_simulator.mirror_twin import Drawn
@@ -57,128 +60,23 @@ class Species:
     glow: Range = _NONE  # emitted light over that of a white card under one LED
 
 
-_PAPER: Any = ((0.75, 0.82), (0.75, 0.82), (0.72, 0.8), (0.7, 0.8))
-_RESIN: Any = ((0.3, 0.65), (0.28, 0.62), (0.22, 0.58), (0.3, 0.65))
+def _species() -> dict[str, Species]:
+    """Rows of ``species.csv``; a range is written as its ends, reflectance as the ends of four."""
+    kinds = {}
+    with Path(__file__).with_name("species.csv").open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            name, words, picture = row.pop("name"), row.pop("words"), row.pop("picture") == "yes"
+            ranges: dict[str, Any] = {}
+            for field, text in row.items():
+                if text:
+                    ends = [float(number) for number in text.split()]
+                    pairs = tuple(zip(ends[::2], ends[1::2], strict=True))
+                    ranges[field] = pairs if field == "reflectance" else pairs[0]
+            kinds[name] = Species(words, picture=picture, **ranges)
+    return kinds
 
-SPECIES: Mapping[str, Species] = {
-    "photo-matt": Species(
-        "printed photograph, matt, flat",
-        _PAPER,
-        (9.0, 13.0),
-        (0.6, 1.0),
-        (0.3, 0.9),
-        (0.7, 1.0),
-        flat=(0.9, 1.0),
-        picture=True,
-    ),
-    "photo-glossy": Species(
-        "printed photograph, glossy, flat",
-        _PAPER,
-        (9.0, 13.0),
-        (0.05, 0.12),
-        (0.8, 1.3),
-        (0.7, 1.0),
-        flat=(0.9, 1.0),
-        picture=True,
-    ),
-    "photo-wrapped": Species(
-        "printed photograph, wrapped round a finger",
-        _PAPER,
-        (9.0, 13.0),
-        (0.1, 0.9),
-        (0.4, 1.2),
-        (0.7, 1.0),
-        flat=(0.0, 0.3),
-        picture=True,
-    ),
-    "screen": Species(
-        "screen of a telephone",
-        ((0.01, 0.04),) * 4,
-        (9.0, 13.0),
-        (0.05, 0.1),
-        (0.8, 1.2),
-        flat=(1.0, 1.0),
-        picture=True,
-        glow=(0.2, 1.5),
-    ),
-    "silicone": Species(
-        "silicone cast",
-        ((0.5, 0.75), (0.45, 0.7), (0.4, 0.65), (0.5, 0.78)),
-        (1.0, 4.0),
-        (0.15, 0.4),
-        (0.6, 1.2),
-        (0.0, 0.9),
-        relief=(0.7, 1.0),
-        blur_mm=(0.02, 0.06),
-        flat=(0.0, 0.2),
-    ),
-    "gelatine": Species(
-        "gelatine cast",
-        ((0.4, 0.7), (0.3, 0.6), (0.15, 0.45), (0.5, 0.75)),
-        (0.7, 2.0),
-        (0.08, 0.25),
-        (0.9, 1.8),
-        (0.0, 0.9),
-        relief=(0.5, 0.95),
-        blur_mm=(0.03, 0.08),
-        flat=(0.0, 0.2),
-    ),
-    "latex": Species(
-        "latex cast",
-        ((0.6, 0.8), (0.5, 0.75), (0.35, 0.65), (0.6, 0.8)),
-        (3.0, 8.0),
-        (0.2, 0.45),
-        (0.5, 1.0),
-        (0.0, 0.9),
-        relief=(0.6, 0.95),
-        blur_mm=(0.03, 0.07),
-        flat=(0.0, 0.2),
-    ),
-    "wood-glue": Species(
-        "wood glue cast",
-        ((0.55, 0.8), (0.5, 0.78), (0.35, 0.7), (0.55, 0.8)),
-        (1.5, 5.0),
-        (0.1, 0.3),
-        (0.8, 1.3),
-        (0.0, 0.8),
-        relief=(0.5, 0.9),
-        blur_mm=(0.03, 0.07),
-        flat=(0.0, 0.3),
-    ),
-    "resin-opaque": Species(
-        "3D print, opaque resin",
-        _RESIN,
-        (8.0, 13.0),
-        (0.2, 0.5),
-        (0.5, 1.1),
-        (0.0, 0.9),
-        relief=(0.6, 1.0),
-        blur_mm=(0.03, 0.08),
-        layer_um=(25.0, 100.0),
-    ),
-    "resin-translucent": Species(
-        "3D print, translucent resin",
-        _RESIN,
-        (0.7, 2.0),
-        (0.1, 0.35),
-        (0.7, 1.3),
-        (0.0, 0.9),
-        relief=(0.6, 1.0),
-        blur_mm=(0.03, 0.08),
-        layer_um=(25.0, 100.0),
-    ),
-    "overlay": Species(
-        "thin film on a live finger",
-        ((0.5, 0.75), (0.45, 0.72), (0.35, 0.68), (0.5, 0.78)),
-        (1.0, 5.0),
-        (0.1, 0.35),
-        (0.7, 1.3),
-        live=(0.3, 0.7),
-        relief=(0.5, 0.95),
-        blur_mm=(0.02, 0.07),
-    ),
-    "bloodless": Species("pale skin without blood"),
-}
+
+SPECIES: Mapping[str, Species] = _species()
 """Instruments by name. Sources: paper spreads light over 0.1 to 0.3 mm (Arney 1997, J. Imaging Sci.
 Technol. 41); inks of dyes are clear in near infrared, carbon black is not; scattering of silicone
 and gelatine: Pogue and Patterson 2006, J. Biomed. Opt. 11, 041102; casts lose height and sharpness:
@@ -250,7 +148,11 @@ def simulate_attack(
             else float(np.exp(0.04 * np.random.default_rng(own).standard_normal()))
         )
         exposure = drift * float(truth[f"exposure_{name}"] / truth["exposure_white"])
-        bands[name] = replace(band, exposure=band.exposure * exposure, ambient_exposure=exposure)
+        bands[name] = replace(
+            band,
+            exposure=band.exposure * exposure,
+            ambient=None if band.ambient is None else replace(band.ambient, exposure=exposure),
+        )
     return replace(capture, bands=bands), truth
 
 

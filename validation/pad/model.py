@@ -9,11 +9,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from detector import MODEL, deviations, distance, judge, suspicious
 from scipy.stats import beta
 from sklearn.covariance import LedoitWolf
 from sklearn.linear_model import LogisticRegression
-
-from splitknit.pad import deviations, distance, judge, suspicious
 
 SIDES = {
     "relief_rms": (0, 1),
@@ -45,9 +44,6 @@ UNKNOWN_RATE = 0.12
 UNCOVERED_MARGIN = 1.5
 """By how much the log odds of what training did not cover must lie below those of an attack to be
 called one."""
-MODEL = (
-    Path(__file__).parents[2] / "packages" / "splitknit" / "src" / "splitknit" / "pad_model.json"
-)
 Row = dict
 Model = dict
 

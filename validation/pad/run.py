@@ -6,8 +6,7 @@ twice. Optics of the skin, rig and camera are drawn for 7 of 10. Then `--jpeg 20
 fingers that are not part of the fit as JPEG, `--fresh 60` others as they are, `--foreign
 ../shared/data` the path-traced fingers in five versions each, `--gather` puts all into
 ``tables/captures.json``, `--score` writes ``tables/answers.csv`` from there, leaving out one
-species or fold at a time, and `--write` fits the shipped model,
-packages/splitknit/src/splitknit/pad_model.json (extra `pad`).
+species or fold at a time, and `--write` fits the model, ``model.json`` (needs scikit-learn).
 """
 
 from __future__ import annotations
@@ -26,10 +25,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import cv2
 import numpy as np
 from attacks import SPECIES, simulate_attack
+from detector import pad_features, pad_images
 
 import splitknit
-from splitknit.model import Capture, default_rig
-from splitknit.pad import pad_features, pad_images
+from splitknit.capture import Capture
+from splitknit.nominal import default_rig
 from splitknit_simulator.light.skin import Boundary, SkinOptics, SkinRanges
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import twin_settings
@@ -143,15 +143,13 @@ def as_jpeg(capture: Capture) -> Capture:
         data = cv2.imencode(".jpg", np.round(255 * coded).astype(np.uint8), how)[1]
         return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED)).reshape(image.shape)
 
-    def of(pixels: np.ndarray | None) -> np.ndarray | None:
-        if pixels is None:
-            return None
-        return np.stack([saved(image) for image in pixels]) if pixels.ndim == 4 else saved(pixels)
-
-    bands = {
-        name: replace(band, pixels=of(band.pixels), ambient=of(band.ambient))
-        for name, band in capture.bands.items()
-    }
+    bands = {}
+    for name, band in capture.bands.items():
+        ambient = band.ambient
+        if ambient is not None:
+            ambient = replace(ambient, pixels=saved(ambient.pixels))
+        pixels = np.stack([saved(image) for image in band.pixels])
+        bands[name] = replace(band, pixels=pixels, ambient=ambient)
     return replace(capture, bands=bands, encoding="srgb")
 
 
@@ -197,7 +195,7 @@ def changed(capture: Capture, how: str) -> Capture:
     return replace(capture, bands=bands, rig=replace(capture.rig, camera=camera))
 
 
-def simulate(out: Path, live: int, per_species: int) -> None:
+def simulate(out: Path, live: int = 60, per_species: int = 5) -> None:
     """Live fingers and instruments of all species side by side, so that every stop leaves a fair
     mixture."""
     copies = [
@@ -222,8 +220,6 @@ def foreign(out: Path, data: Path) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("validation/out/pad"))
-    parser.add_argument("--live", type=int, default=60)
-    parser.add_argument("--each", type=int, default=5, help="instruments of each species")
     parser.add_argument("--jpeg", type=int, help="number of live fingers to measure as JPEG")
     parser.add_argument(
         "--fresh", type=int, help="number of live fingers to measure that are not part of the fit"
@@ -242,7 +238,7 @@ if __name__ == "__main__":
         rows = [json.loads(path.read_text()) for path in sorted(options.out.glob("*.json"))]
         captures.write_text("[\n" + ",\n".join(map(json.dumps, rows)) + "\n]\n")
     elif options.score or options.write:
-        import model  # needs scikit-learn (extra `pad`)
+        import model  # needs scikit-learn
 
         rows = json.loads(captures.read_text())
         if options.write:
@@ -264,4 +260,4 @@ if __name__ == "__main__":
     elif options.foreign:
         foreign(options.out, options.foreign)
     else:
-        simulate(options.out, options.live, options.each)
+        simulate(options.out)

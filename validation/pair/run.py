@@ -24,8 +24,11 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from splitknit.model import Band, Capture, Reconstruction, Rig, default_rig
+from splitknit.capture import Band, Capture
+from splitknit.model import Rig
+from splitknit.nominal import default_rig
 from splitknit.pipeline import reconstruct
+from splitknit.reconstruction import Reconstruction
 from splitknit_match.evaluation.pair import BANDS_MM, SLANTS_DEG, PairComparison, compare_results
 from splitknit_simulator.camera.sensor import SensorSettings, record
 from splitknit_simulator.finger.deformation import deformed, draw_deformation

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -21,27 +23,30 @@ from splitknit.imaging.geometry import bounding_box
 from splitknit.methods import METHODS, method_for, metric
 from splitknit.methods.photographs import (
     FingerPhotographs,
-    diagnosed,
-    mirror_views,
     on_mirror_shape,
+    photographs_of,
     placed,
-    prepared,
 )
-from splitknit.model import Capture, Reconstruction, default_rig
+from splitknit.model import Rig
+from splitknit.nominal import default_rig
 from splitknit.presets import PipelineSettings, chosen_settings
+from splitknit.reconstruction import Reconstruction
 from splitknit.separation.binary import checkerboard
 from splitknit.settings import override
 from splitknit.skin.grid import Grid
 from splitknit.skin.polarised import SpecularImages, polarised_heights
 from splitknit_simulator.finger.finger import FingerPose
-from splitknit_simulator.light.separation import (
+from splitknit_simulator.scene import TwinSettings
+from splitknit_simulator.twin import lay_down, simulate_capture
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
+
+from projector import (
     Checkerboard,
     checkerboard_stack,
     pattern_states,
     separate_truth,
 )
-from splitknit_simulator.scene import TwinSettings
-from splitknit_simulator.twin import lay_down, simulate_capture
 
 Truth = Mapping[str, NDArray[Any]]
 
@@ -132,9 +137,9 @@ def found_finger(changes: Mapping[str, Any], settings: Mapping[str, Any]) -> Mea
     known: dict[str, tuple[dict[str, float], list[NDArray[Any] | None]]] = {}
 
     def measure() -> Outcome:
-        photographs = prepared(capture, chosen)
+        photographs = photographs_of(capture, chosen.finding())
         finger = photographs.finger
-        pixels = photographs.bands[0].pixels
+        pixels = photographs.observation.white.at(4).grey
         upright = finger.upright.input_from_upright
         place = outcome({}, [finger.mask, finger.wider, pixels, upright]).digest
         if place not in known:  # the surface follows from these
@@ -180,7 +185,7 @@ def opened(
     """Photographs in which the finger was found, the settings, and the truth."""
     capture, truth = simulate_capture(seed, None, settings)
     _, chosen = chosen_settings(preset, changes)
-    return diagnosed(prepared(capture, chosen), chosen), chosen, truth
+    return photographs_of(capture, chosen.finding()), chosen, truth
 
 
 def surface_of(photographs: FingerPhotographs, settings: PipelineSettings) -> Reconstruction:
@@ -237,7 +242,7 @@ def correlation(first: NDArray[Any], second: NDArray[Any]) -> float:
 
 
 @cache
-def specular_reflection(kind: str) -> tuple[Capture, Truth, tuple[Any, ...]]:
+def specular_reflection(kind: str) -> tuple[Rig, Truth, tuple[Any, ...]]:
     """A fingertip under lights from the front and from the side, behind films of a `kind`, and what
     the step that measures heights by specular reflection is given."""
     settings = tip_settings({"side_lights": RING, "films.kind": kind})
@@ -250,13 +255,13 @@ def specular_reflection(kind: str) -> tuple[Capture, Truth, tuple[Any, ...]]:
 
     with patch.object(metric, "polarised_heights", recorded):
         surface_of(photographs, chosen)
-    return photographs.capture, truth, calls[0]
+    return photographs.observation.rig, truth, calls[0]
 
 
 def specular_heights(kind: str, lights: int) -> Measure:
     """Heights by specular reflection on a strip of a fingertip, from the network's surface, under
     the first `lights`."""
-    capture, truth, (images, grid, start, deviation, separated) = specular_reflection(kind)
+    rig, truth, (images, grid, start, deviation, separated) = specular_reflection(kind)
     strip = strip_of(grid)
     own = grid_of(grid, strip)
     part = SpecularImages(
@@ -264,7 +269,7 @@ def specular_heights(kind: str, lights: int) -> Measure:
         images.noise,
         replace(images.rig, leds=images.rig.leds[:lights]),
     )
-    height, shape = (on_grid(truth[name], grid, capture)[strip] for name in HEIGHTS)
+    height, shape = (on_grid(truth[name], grid, rig)[strip] for name in HEIGHTS)
     inside = own.mask & np.isfinite(height)
     counted = eroded(inside, EROSION_MM / own.pitch_mm)
     sigma = BAND_SIGMA_MM / own.pitch_mm
@@ -306,9 +311,9 @@ def grid_of(grid: Grid, strip: tuple[slice, slice]) -> Grid:
     return Grid(grid.mask[strip], grid.x_mm[strip[1]], grid.y_mm[strip[0]], grid.pitch_mm, cut)
 
 
-def on_grid(field: NDArray[Any], grid: Grid, capture: Capture) -> NDArray[np.float32]:
+def on_grid(field: NDArray[Any], grid: Grid, rig: Rig) -> NDArray[np.float32]:
     """A field (H, W) of the image on the grid's places."""
-    camera = capture.rig.camera
+    camera = rig.camera
     rows, columns = camera.image_size
     x = (grid.x_mm / camera.pitch_mm + (columns - 1) / 2).astype(np.float32)
     y = ((rows - 1) / 2 - grid.y_mm / camera.pitch_mm).astype(np.float32)
@@ -333,12 +338,12 @@ def mirrors(seed: int) -> Measure:
     surface = METHODS["skin"](copy.copy(photographs), settings)
 
     def measure() -> Outcome:
-        seen = mirror_views(photographs.capture, settings)
-        own = copy.copy(photographs)
-        result = placed(own, on_mirror_shape(own, surface, seen, settings), 0.0)
+        own, on_shape = on_mirror_shape(copy.copy(photographs), surface, settings)
+        result = placed(own, on_shape, 0.0)
         figures, arrays = of_result(result, truth, ("shape_rms_mm", "mask_overlap"))
         figures.pop("error_over_stated", None)
-        codes = " ".join(finding.code for finding in seen.shape.findings)
+        new = on_shape.findings[len(surface.findings) :]
+        codes = " ".join(finding.code for finding in new)
         return outcome(figures, arrays, codes)
 
     return measure

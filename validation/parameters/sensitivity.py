@@ -1,9 +1,9 @@
-"""Over which range of each constant of `parameters.py` does the result hardly change?
+"""Over which range of each tuned constant does the result hardly change?
 
-    python validation/parameters/sensitivity.py [PARAMETERS.PY ...]  # resumes, then sums up
+    python validation/parameters/sensitivity.py [PACKAGE ...]        # resumes, then sums up
     python validation/parameters/sensitivity.py --summary            # sums up what there is
 
-Every constant is set to 0.5, 0.7, 1.4 and 2 times its value wherever it is held, in the captures of
+Every constant (and field of thresholds) is set to 0.5, 0.7, 1.4 and 2 times its value wherever it is held, in the captures of
 ``cases.py`` that use it; a row is written to ``sensitivity.csv`` for each. A result hardly changes
 if every figure stays within 5 % of its value, or within the amount in `FLOORS`, and the findings
 are the same. Where half and twice the value give the same bytes, the factors between are left out.
@@ -14,7 +14,9 @@ from __future__ import annotations
 import argparse
 import ast
 import csv
+import importlib
 import inspect
+import runpy
 import sys
 import threading
 import warnings
@@ -30,10 +32,9 @@ from cases import CASES, Measure, Outcome
 
 HERE = Path(__file__).resolve().parent
 SOURCE = HERE.parents[1] / "packages" / "splitknit" / "src"
-DEFAULT = [
-    SOURCE / "splitknit" / name / "parameters.py"
-    for name in ("finger", "skin", "mirrors", "separation")
-]
+CONSTANTS = runpy.run_path(str(HERE.parents[1] / "tools" / "measure_house.py"))["constants"]
+DEFAULT = ("finger", "skin", "mirrors", "separation")
+"""Packages of the core."""
 OUT = HERE / "sensitivity.csv"
 OUTER = (0.5, 2.0)
 INNER = (0.7, 1.4)
@@ -71,25 +72,34 @@ Row = dict[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """A constant of a `parameters.py`."""
+    """A tuned constant, or a field of thresholds."""
 
     module: str
-    """Of the parameters: ``splitknit.skin.parameters``."""
+    """Where it is defined: ``splitknit.skin.refine``."""
     name: str
     value: Any
+    thresholds: Any = None
+    """What it is a field of."""
 
     @property
     def package(self) -> str:
-        """Its package, without ``splitknit.``."""
-        return self.module.split(".", 1)[1].removesuffix(".parameters")
+        """Its module, without ``splitknit.``."""
+        return self.module.split(".", 1)[1]
 
     def times(self, factor: float) -> Any:
         """The value, or all of a table, times a factor."""
         return scaled(self.value, factor)
 
     @property
+    def owners(self) -> list[Any]:
+        """What has it as an attribute: its thresholds, or loaded modules."""
+        return self.holders if self.thresholds is None else [self.thresholds]
+
+    @property
     def holders(self) -> list[Any]:
-        """Loaded modules that hold it as a global."""
+        """Loaded modules that may read it."""
+        if self.thresholds is not None:
+            return [module for name, module in sys.modules.items() if name.startswith("splitknit.")]
         named = [sys.modules[self.module]]
         for name, module in list(sys.modules.items()):
             if name.startswith("splitknit") and self.name in imported(name).get(self.module, ()):
@@ -120,18 +130,19 @@ def imported(module: str) -> dict[str, set[str]]:
     return names
 
 
-def constants_of(path: Path) -> list[Constant]:
-    """Numbers and tables of numbers in a file, in its order."""
-    module = ".".join(path.resolve().with_suffix("").relative_to(SOURCE).parts)
-    values = vars(__import__(module, fromlist=["*"]))
-    names = [
-        target.id
-        for node in ast.parse(path.read_text()).body
-        if isinstance(node, ast.Assign)
-        for target in node.targets
-        if isinstance(target, ast.Name)
-    ]
-    return [Constant(module, name, values[name]) for name in names]
+def constants_of(package: str) -> list[Constant]:
+    """Tuned numbers and tables of numbers of a package of the core, by module."""
+    constants = []
+    for constant in CONSTANTS(SOURCE):
+        if not constant.tuned or constant.module.split(".")[1] != package:
+            continue
+        module = importlib.import_module(constant.module)
+        kind, _, name = constant.name.rpartition(".")
+        groups = [value for value in vars(module).values() if kind and type(value).__name__ == kind]
+        for owner in groups or [module]:
+            value, thresholds = getattr(owner, name), owner if groups else None
+            constants.append(Constant(constant.module, name, value, thresholds))
+    return constants
 
 
 def functions_of(module: Any) -> Iterator[FunctionType]:
@@ -153,16 +164,15 @@ def is_default(value: Any, function: FunctionType) -> bool:
 def holding(constant: Constant, value: Any) -> Iterator[None]:
     """The constant has another value, in all modules that hold it and as a default of their
     functions."""
-    holders = constant.holders
     defaults = [
         (function, function.__defaults__, function.__kwdefaults__)
-        for module in holders
+        for module in constant.holders
         for function in functions_of(module)
         if is_default(constant.value, function)
     ]
     try:
-        for module in holders:
-            setattr(module, constant.name, value)
+        for owner in constant.owners:
+            object.__setattr__(owner, constant.name, value)
         for function, plain, by_name in defaults:
             function.__defaults__ = plain and tuple(
                 value if part is constant.value else part for part in plain
@@ -173,8 +183,8 @@ def holding(constant: Constant, value: Any) -> Iterator[None]:
         forget()
         yield
     finally:
-        for module in holders:
-            setattr(module, constant.name, constant.value)
+        for owner in constant.owners:
+            object.__setattr__(owner, constant.name, constant.value)
         for function, plain, by_name in defaults:
             function.__defaults__, function.__kwdefaults__ = plain, by_name
         forget()
@@ -319,10 +329,10 @@ def rows_of(path: Path) -> list[Row]:
         return list(csv.DictReader(file))
 
 
-def measure_all(paths: Sequence[Path], out: Path) -> None:
+def measure_all(packages: Sequence[str], out: Path) -> None:
     """Measure what is missing; each row is written at once."""
     done = {(row["package"], row["constant"], row["factor"]): row for row in rows_of(out)}
-    constants = [constant for path in paths for constant in constants_of(path)]
+    constants = [constant for package in packages for constant in constants_of(package)]
     with out.open("a", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
         if not done:
@@ -420,12 +430,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("parameters", type=Path, nargs="*", default=DEFAULT)
+    parser.add_argument("packages", nargs="*", default=DEFAULT)
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--summary", action="store_true", help="sum up, measure nothing")
     options = parser.parse_args(arguments)
     if not options.summary:
-        measure_all(options.parameters, options.out)
+        measure_all(options.packages, options.out)
     print("\n".join(summary(rows_of(options.out))))
 
 

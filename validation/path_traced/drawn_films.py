@@ -7,7 +7,7 @@ Only the films' step of `metric` runs (:func:`splitknit.skin.polarised.polarised
 films leave is drawn: GGX facets finer than a pixel, cast shadows under lights from the side, films,
 once-scattered light, the lens's blur, noise. The step's start, a network's in the program, is drawn
 from the truth, with errors like a network's, and up to 3 mm too low or high. Constants of the
-stated error were chosen on a, c and g, with lights to the side on i and j; on k to m nothing was.
+stated error were chosen on a, c, g, i and j.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import nearest_known
-from splitknit.model import Rig, default_rig
+from splitknit.model import Rig
+from splitknit.nominal import default_rig
 from splitknit.skin.grid import Grid
 from splitknit.skin.light import slant_of
 from splitknit.skin.polarised import SpecularImages, polarised_heights
 from splitknit_simulator.finger.finger import FingerPose, draw_finger
 from splitknit_simulator.light.films import FilmSettings, mounted_films
-from splitknit_simulator.light.lighting import towards
+from splitknit_simulator.light.lighting import dot, towards
 from splitknit_simulator.light.skin import fresnel
 from splitknit_simulator.rigs import with_side_lights
 from splitknit_simulator.scene import TwinSettings
@@ -189,8 +190,7 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
     seen, camera_way = [], (0, 0, 1.0)
     diffuse = []
     for k, led in enumerate(rig.leds[:lights]):
-        to_x, to_y, to_z, strength = towards(led, x, y, z)
-        way = (to_x, to_y, to_z)
+        way, strength = towards(led, (x, y, z))
         passed = films.specular(0, k, way, camera_way) - films.specular(1, k, way, camera_way)
         once = films.once_scattered(0, k, way, camera_way) - films.once_scattered(
             1, k, way, camera_way
@@ -200,7 +200,7 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
         else:
             gloss = passed * specular(surface, led, case.roughness, fine)
         cosines = (
-            np.maximum(to_x * normals[..., 0] + to_y * normals[..., 1] + to_z * normals[..., 2], 0),
+            np.maximum(dot(way, np.moveaxis(normals, -1, 0)), 0),
             normals[..., 2].clip(0, 1),
         )
         inside = [np.sqrt(1 - (1 - cosine * cosine) / refraction**2) for cosine in cosines]

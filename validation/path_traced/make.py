@@ -14,13 +14,13 @@ bytes, whatever the number of threads.
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from walked_finger import (
@@ -36,7 +36,8 @@ from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import write_capture
 from splitknit.io.npz import read_npz, write_npz
-from splitknit.model import Rig, default_rig
+from splitknit.model import Rig
+from splitknit.nominal import default_rig
 from splitknit_simulator.finger.finger import FingerPose, draw_finger
 from splitknit_simulator.light.films import FilmSettings
 from splitknit_simulator.rigs import with_side_lights
@@ -54,61 +55,6 @@ class Case:
     pattern: str
     optics: FingerOptics
     ridges: bool = True
-
-
-THIRD = 1 / 3
-CASES = (
-    # spread, scattering, epidermis, melanin, blood, mottle, mottle size, roughness, gloss, noise
-    Case(
-        "third_matt",
-        9101,
-        "loop",
-        FingerOptics(THIRD, 0.5, 0.12, 0.002, 0.006, 0.15, 1.0, 0.25, 0.0, 0.005),
-    ),
-    Case(
-        "refracted_glossy",
-        9102,
-        "whorl",
-        FingerOptics(0.0, 0.6, 0.10, 0.0015, 0.005, 0.10, 1.5, 0.30, 1.0, 0.005),
-    ),
-    Case(
-        "diffuse_glossy",
-        9103,
-        "loop",
-        FingerOptics(1.0, 0.8, 0.20, 0.004, 0.008, 0.20, 0.7, 0.20, 1.0, 0.004),
-    ),
-    Case(
-        "third_dark_glossy",
-        9104,
-        "whorl",
-        FingerOptics(THIRD, 0.4, 0.25, 0.006, 0.010, 0.20, 2.0, 0.40, 1.3, 0.007),
-    ),
-    Case(
-        "refracted_matt",
-        9105,
-        "arch",
-        FingerOptics(0.0, 1.0, 0.05, 0.001, 0.004, 0.15, 0.5, 0.15, 0.0, 0.003),
-    ),
-    Case(
-        "diffuse_matt",
-        9106,
-        "whorl",
-        FingerOptics(1.0, 1.5, 0.15, 0.003, 0.012, 0.25, 3.0, 0.25, 0.0, 0.010),
-    ),
-    Case(
-        "no_ridges",
-        9107,
-        "loop",
-        FingerOptics(THIRD, 0.6, 0.15, 0.002, 0.006, 0.20, 0.6, 0.30, 1.0, 0.005),
-        False,
-    ),
-    Case(
-        "thin_glossy",
-        9108,
-        "loop",
-        FingerOptics(THIRD, 0.3, 0.08, 0.002, 0.004, 0.10, 1.0, 0.45, 1.0, 0.008),
-    ),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,88 +81,37 @@ class CutCase:
     """White LEDs to the side of the finger."""
 
 
-def _films(
-    kept: float, axis_deg: float, extinction: float, off_deg: float, *tint: float
-) -> FilmSettings:
-    colours: Any = tint or (0.85, 0.85, 0.82)
-    return FilmSettings("analyser", axis_deg, off_deg, extinction, colours, kept)
+def _fingers() -> Iterator[Case | CutCase]:
+    """Rows of ``fingers.csv``; films by the kept part of once-scattered light, axis in deg,
+    extinction, angle error in deg, and transmission in red, green and blue."""
+    with Path(__file__).with_name("fingers.csv").open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            finger = row["name"], int(row["seed"]), row["pattern"]
+            optics = FingerOptics(**{f.name: float(row[f.name]) for f in fields(FingerOptics)})
+            ridges = row["ridges"] == "yes"
+            if not row["films"]:
+                yield Case(*finger, optics, ridges)
+                continue
+            kept, axis, extinction, off, *tint = map(json.loads, row["films"].split())
+            films = FilmSettings("analyser", axis, off, extinction, tuple(tint), kept)
+            yield CutCase(*finger, float(row["ridge_um"]), optics, films, ridges)
 
 
-_P01 = CutCase(
-    "p01",
-    9201,
-    "whorl",
-    60.0,
-    FingerOptics(0.0, 0.9, 0.12, 0.002, 0.006, 0.12, 1.0, 0.30, 1.0, 0.004),
-    _films(0.25, 0, 1000, 0.5),
-    size_px=(640, 700),
-    width_mm=16.5,
-    entering=2,
-)
-_WITHOUT_SIDE_LIGHTS = (
-    _P01,
-    CutCase(
-        "p02",
-        9202,
-        "loop",
-        55.0,
-        FingerOptics(0.0, 0.8, 0.15, 0.012, 0.008, 0.15, 1.5, 0.13, 1.0, 0.005),
-        _films(0.20, 90, 500, 0.5),
-    ),
-    CutCase(
-        "p03",
-        9203,
-        "loop",
-        30.0,
-        FingerOptics(0.0, 1.1, 0.10, 0.0015, 0.005, 0.10, 1.0, 0.45, 1.0, 0.004),
-        _films(0.40, 45, 2000, 1.0),
-    ),
-    CutCase(
-        "p04",
-        9204,
-        "whorl",
-        85.0,
-        FingerOptics(0.0, 0.7, 0.15, 0.003, 0.008, 0.15, 0.8, 0.20, 1.0, 0.004),
-        _films(0.10, 20, 5000, 0.3),
-    ),
-    CutCase(
-        "p05",
-        9205,
-        "loop",
-        60.0,
-        FingerOptics(0.0, 0.9, 0.12, 0.002, 0.006, 0.20, 0.6, 0.35, 1.0, 0.004),
-        _films(0.25, 0, 1000, 0.5),
-        ridges=False,
-    ),
-    CutCase(
-        "p06",
-        9206,
-        "loop",
-        45.0,
-        FingerOptics(THIRD, 1.0, 0.20, 0.002, 0.004, 0.15, 1.0, 0.50, 1.0, 0.005),
-        _films(0.0, 60, 300, 1.0, 0.82, 0.85, 0.78),
-    ),
-    CutCase(
-        "p07",
-        9207,
-        "whorl",
-        90.0,
-        FingerOptics(0.0, 0.8, 0.12, 0.002, 0.007, 0.15, 1.2, 0.36, 1.0, 0.004),
-        _films(0.30, -30, 1000, 0.5),
-    ),
-    CutCase(
-        "p08",
-        9208,
-        "loop",
-        25.0,
-        FingerOptics(0.0, 1.0, 0.10, 0.003, 0.006, 0.10, 1.0, 0.25, 1.0, 0.004),
-        _films(0.15, 10, 1000, 0.5),
-    ),
-)
+FINGERS = tuple(_fingers())
+CASES = tuple(finger for finger in FINGERS if isinstance(finger, Case))
+_P01, *_BEHIND_FILMS = (finger for finger in FINGERS if isinstance(finger, CutCase))
+_P01 = replace(_P01, size_px=(640, 700), width_mm=16.5, entering=2)
+_WITHOUT_SIDE_LIGHTS = (_P01, *_BEHIND_FILMS)
+
+
+def _behind(extinction: float, off_deg: float) -> FilmSettings | None:
+    return _P01.films and replace(_P01.films, extinction=extinction, misalignment_deg=off_deg)
+
+
 POLARISED = (
     *_WITHOUT_SIDE_LIGHTS,
-    replace(_P01, name="p01_ext", films=_films(0.25, 0, 100, 0.5), as_walked="p01"),
-    replace(_P01, name="p01_angle", films=_films(0.25, 0, 1000, 3.0), as_walked="p01"),
+    replace(_P01, name="p01_ext", films=_behind(100, 0.5), as_walked="p01"),
+    replace(_P01, name="p01_angle", films=_behind(1000, 3.0), as_walked="p01"),
     replace(_P01, name="p01_motion", moved_mm=(0.15, -0.13), as_walked="p01"),
     *(replace(case, name=f"{case.name}_side", side_lights=7) for case in _WITHOUT_SIDE_LIGHTS),
 )

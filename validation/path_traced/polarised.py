@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
+from splitknit.capture import Capture
 from splitknit.errors import BadInput, require
 from splitknit.io.npz import read_npz
-from splitknit.model import Capture
 from splitknit_simulator import simulate_capture
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -108,7 +108,7 @@ def without_films(capture: Capture) -> Capture:
         "the capture is not polarised and linear.",
     )
     white, crossed = capture.bands["white"], capture.bands["white_crossed"]
-    mean = (white.pixels.astype(np.uint32) + crossed.pixels) // 2
+    mean = (np.asarray(white.pixels, np.uint32) + np.asarray(crossed.pixels)) // 2
     bands = {name: band for name, band in capture.bands.items() if name != "white_crossed"}
     bands["white"] = replace(white, pixels=mean.astype(white.pixels.dtype), polarisation="")
     return replace(capture, bands=bands)

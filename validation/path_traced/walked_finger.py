@@ -25,16 +25,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.capture import Band, Capture
 from splitknit.errors import BadInput, require
-from splitknit.model import Band, Camera, Capture, FloatArray, Led, Progress, Rig, no_progress
+from splitknit.model import Camera, FloatArray, Led, Progress, Rig, no_progress
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.sensor import SensorSettings, record
 from splitknit_simulator.light.films import Films, FilmSettings, mounted_films, moved
 from splitknit_simulator.light.lighting import towards
-from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 from splitknit_simulator.light.skin import (
     BAND_CHANNELS,
     CHANNELS,
+    REFRACTIVE_INDEX,
     Channel,
     SkinOptics,
     diffuse_transmittance,
@@ -821,7 +822,7 @@ def _polarised(
     frames = np.empty((2, *diffuse.shape), dtype=np.float32)
     for k, led in enumerate(leds):
         gloss = optics.gloss * specular(surface, led, optics.roughness, fine)
-        lx, ly, lz, _ = towards(led, x, y, z)
+        (lx, ly, lz), _ = towards(led, (x, y, z))
         background = _background_beside(surface, led)
         for series in range(2):
             mirrored = gloss * mounted.specular(series, k, (lx, ly, lz), (0.0, 0.0, 1.0))

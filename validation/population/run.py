@@ -27,13 +27,19 @@ from numpy.typing import NDArray
 from splitknit_match.evaluation.rates import roc
 from splitknit_simulator.finger.finger import SimulatedFinger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint, ink_print
-from splitknit_simulator.population.parameters import LENGTH_MM, PERIOD_DIGIT, WIDTH_MM
 from splitknit_simulator.population.people import (
+    ARCHES,
     DIGITS,
     FINGERS,
+    LENGTH_MM,
+    PERIOD_DIGIT,
     PERIOD_MM,
+    RADIAL,
+    TENTED,
+    TWIN,
+    WHORLS,
+    WIDTH_MM,
     Person,
-    class_fractions,
 )
 from splitknit_simulator.population.sessions import (
     PopulationSettings,
@@ -46,6 +52,22 @@ PROFILE_MM = np.arange(1.0, 16.1, 1.0)
 """Distances from the tip, along the finger, at which an outline is measured."""
 SIDEWAYS_MM = np.linspace(-1.0, 1.0, 9)
 """Lateral search of the overlap."""
+
+
+def class_fractions(side: str, digit: str) -> dict[str, float]:
+    """Fraction of every class among the prints of a digit; they sum to one."""
+    k = DIGITS.index(digit)
+    arch, whorl = ARCHES[side][k], WHORLS[side][k]
+    radial, ulnar = ("left_loop", "right_loop") if side == "right" else ("right_loop", "left_loop")
+    loop = 1.0 - arch - whorl
+    return {
+        "arch": arch * (1.0 - TENTED),
+        "tented_arch": arch * TENTED,
+        radial: loop * RADIAL[k],
+        ulnar: loop * (1.0 - RADIAL[k]),
+        "whorl": whorl * (1.0 - TWIN),
+        "twin_loop": whorl * TWIN,
+    }
 
 
 def people(seed: int, count: int) -> Iterator[Person]:

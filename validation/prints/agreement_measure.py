@@ -14,8 +14,8 @@ from agreement_truth import Truth, true_source
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_channels
 from splitknit.io.capture import read_capture
+from splitknit.observation.observe import observe
 from splitknit_match.batch.store import Store
 from splitknit_match.prints.make import Print, enhance, make_print
 from splitknit_match.prints.minutiae import extract, nfiq2
@@ -60,7 +60,7 @@ class Surfaces:
 def photograph(folder: Path) -> NDArray[np.float32]:
     """As ``--method photo`` prints it."""
     capture = read_capture(folder)
-    light = linear_channels(capture.bands["white"], capture.encoding, ["blue"])[0]
+    light = observe(capture).white.stack[2]
     return np.asarray(light.mean(axis=0), dtype=np.float32)
 
 

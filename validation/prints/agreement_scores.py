@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from agreement_compare import by_finger
 
-from splitknit_match.prints.minutiae import minutiae_match
+from splitknit_match.prints.minutiae import EDGE_MM
 from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
-from splitknit_match.prints.parameters import EDGE_MM
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "match"))
+from bozorth3 import bozorth3
 
 Records = dict[tuple[str, int], dict[str, Any]]
 
@@ -38,7 +42,7 @@ def told_apart(
     other."""
     names = [name for name in first if name in second]
     sides = [[_minutiae(side[name][method], picture) for name in names] for side in (first, second)]
-    scores = np.array([[minutiae_match(a, b) for b in sides[1]] for a in sides[0]])
+    scores = np.array([[bozorth3(a, b) for b in sides[1]] for a in sides[0]])
     if len(names) < 2:
         return {}
     same = np.eye(len(names), dtype=bool)

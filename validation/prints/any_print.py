@@ -1,10 +1,14 @@
-"""What is found out about real prints: whether their ridges are dark, their resolution.
+"""What is found out about real prints: whether their ridges are dark, their resolution, and whether
+they are of several fingers.
 
     python validation/prints/any_print.py [--data ../shared/data]
 
 writes ``tables/any_print.csv``, a row for each set of 40 prints. *white*: of the prints as they
 are, and inverted, how many are turned, and of how many it is said to be in doubt. *doubted*: prints
-whose resolution is in doubt as it is, and if half or twice of it is stated. *period*: distance of
+whose resolution is in doubt as it is, and if half or twice of it is stated; *noted*: with a note or
+a doubt, as it is and if 1.25 times of it is stated. *several*: prints that are refused as several
+fingers' (none should be), and of nine sheets of two or three prints (side by side or stacked, with
+a white, a grey or no gap) those that are not (*sheets_passed*). *period*: distance of
 the ridges over 0.46 mm, 2.5 % and 97.5 %, by
 :func:`splitknit_match.prints.from_file._ridge_period_px`, and of how many prints none is found.
 
@@ -26,8 +30,14 @@ from splitknit.io.prints import PrintFile, read_print_png
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import rate, scale_doubt, scores_of
-from splitknit_match.prints.from_file import _ridge_period_px, prepared
-from splitknit_match.prints.parameters import USUAL_PERIOD_MM
+from splitknit_match.prints.from_file import (
+    USUAL_PERIOD_MM,
+    _ridge_period_px,
+    prepared,
+    resolution_doubt,
+)
+from splitknit_match.prints.minutiae import at_500_ppi
+from splitknit_match.prints.pressed import pressed_ridges
 
 PPI = {"fvc2002_db2b": 569.0, "fvc2004_db3b": 512.0}
 STATED = Path(__file__).parent / "tables" / "stated_resolution.csv"
@@ -44,15 +54,19 @@ def row(folder: Path) -> dict[str, object]:
     ppi = PPI.get(folder.name, 500.0)
     codes_by_polarity = {"dark": [], "inverted": []}
     doubted = {"as it is": 0, "half": 0, "twice": 0}
+    noted = {"as it is": 0, "400 as 500": 0}
+    several = 0
     periods = []
     for file in sorted(folder.glob("*.png")):
         image = read_print_png(file).image
         for name, picture in (("dark", image), ("inverted", 255 - image)):
             codes_by_polarity[name].append(codes_of(prepared(PrintFile(picture, ppi, {}))))
         for name, factor in zip(doubted, (1, 0.5, 2), strict=True):
-            doubted[name] += "odd-resolution" in codes_of(
-                prepared(PrintFile(image, factor * ppi, {}))
-            )
+            doubt = resolution_doubt(PrintFile(image, factor * ppi, {}))
+            doubted[name] += doubt is not None and doubt.severity == "doubt"
+        for name, factor in zip(noted, (1, 1.25), strict=True):
+            noted[name] += resolution_doubt(PrintFile(image, factor * ppi, {})) is not None
+        several += pressed_ridges(at_500_ppi(image, ppi)).several
         periods.append(_ridge_period_px(image))
     periods_px = np.array([period for period in periods if period is not None])
     known = periods_px * 25.4 / ppi / USUAL_PERIOD_MM
@@ -68,10 +82,38 @@ def row(folder: Path) -> dict[str, object]:
             for name, findings in codes_by_polarity.items()
         },
         **{f"doubted_{name.replace(' ', '_')}": count for name, count in doubted.items()},
+        **{f"noted_{name.replace(' ', '_')}": count for name, count in noted.items()},
+        "several": several,
+        "sheets_passed": sum(not pressed_ridges(sheet).several for sheet in sheets(folder, ppi)),
         "no_period": periods.count(None),
         "period_2.5": round(float(np.percentile(known, 2.5)), 3),
         "period_97.5": round(float(np.percentile(known, 97.5)), 3),
     }
+
+
+def sheets(folder: Path, ppi: float) -> list[np.ndarray]:
+    """Nine sheets of two or three fingers' prints at 500 ppi."""
+    prints = [
+        at_500_ppi(read_print_png(folder / f"{finger}_1.png").image, ppi)
+        for finger in range(101, 106)
+    ]
+    made = []
+    for count, axis, first in ((2, 1, 0), (3, 1, 2), (2, 0, 3)):
+        for gap, level in ((0, 255), (20, 255), (20, 128)):
+            parts = prints[first : first + count]
+            across = max(part.shape[1 - axis] for part in parts)
+            wide = []
+            for part in parts:
+                missing = [0, 0]
+                missing[axis] = gap if wide else 0
+                missing[1 - axis] = across - part.shape[1 - axis]
+                padding = [
+                    (side if n == axis else 0, 0 if n == axis else side)
+                    for n, side in enumerate(missing)
+                ]
+                wide.append(np.pad(part, padding, constant_values=level))
+            made.append(np.concatenate(wide, axis=axis))
+    return made
 
 
 def stated(folder: Path, factor: float) -> list[tuple[bool, str, bool]]:

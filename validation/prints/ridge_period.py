@@ -23,8 +23,10 @@ from splitknit_match.prints.make import make_print
 from splitknit_match.prints.print_map import resample, unrolled_map
 from splitknit_match.prints.ridge_field import ridge_field
 from splitknit_match.prints.sources import Source, read_source
-from splitknit_match.prints.unroll import KINDS, slant_cos, surface_grid, unroll
+from splitknit_match.prints.unroll import KINDS, surface_grid, unroll
+from splitknit_match.rolled.chart import surface_normals
 
+POINTS = 150
 ZONES = {
     "centre (< 20 deg)": (0, 20),
     "20-40 deg": (20, 40),
@@ -76,58 +78,66 @@ def period_at(image: np.ndarray, place: np.ndarray) -> float | None:
     return 25.4 / 500 / float(np.mean(field.frequency_px[middle]))
 
 
+def period_errors(capture: Path, result: Path) -> dict[tuple[str, str, str], list[float]]:
+    """Relative errors of the ridge period on our print, and on that of the true surface, by the
+    print's kind and by slant."""
+    errors: dict[tuple[str, str, str], list[float]] = {}
+    truth = read_npz(capture / "truth.npz")
+    estimated = read_source(result, photo=False, surface=True)
+    relief = (truth["height_mm"] - truth["shape_mm"]).astype(np.float32)
+    mask = estimated.mask & np.isfinite(relief)
+    parts = (truth["height_mm"], relief, truth["shape_mm"])
+    true = Source(
+        "result",
+        mask,
+        estimated.pitch_mm,
+        estimated.input_from_upright,
+        estimated.upright_size,
+        *parts,
+        truth.get("x_mm"),
+        truth.get("y_mm"),
+    )
+    grid = surface_grid(
+        true.shape_mm, mask, true.pitch_mm, true.input_from_upright, true.upright_size
+    )
+    slant = np.rad2deg(np.arccos(np.abs(surface_normals(grid.points_mm)[..., 2])))
+    nodes = np.argwhere(grid.inside)
+    rng = np.random.default_rng(1)
+    # as many places in each zone
+    chosen = []
+    for low, high in ZONES.values():
+        zone = nodes[(slant[tuple(nodes.T)] >= low) & (slant[tuple(nodes.T)] < high)]
+        chosen += list(zone[rng.permutation(len(zone))[: POINTS // len(ZONES)]])
+    prints = {
+        (name, kind): make_print(source, "relief" if kind == "plane" else "unroll", kind)
+        for name, source in (("metric", estimated), ("true surface", true))
+        for kind in (*KINDS, "plane")
+    }
+    for node in chosen:
+        place = grid.input_from_grid[:2, :2] @ node[::-1] + grid.input_from_grid[:2, 2]
+        wanted = true_period(truth, true, place, slant[tuple(node)])
+        if wanted is None:
+            continue
+        zone = next(z for z, (low, high) in ZONES.items() if low <= slant[tuple(node)] < high)
+        for (name, kind), finger_print in prints.items():
+            where = finger_print.map.print_from_input(place[None])[0]
+            period = period_at(finger_print.image, where) if np.isfinite(where).all() else None
+            if period is not None:
+                errors.setdefault((name, kind, zone), []).append(period / wanted - 1.0)
+    return errors
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "pairs", nargs="+", type=Path, help="capture (with truth.npz) and its result, in turn"
     )
-    parser.add_argument("--points", type=int, default=150)
     options = parser.parse_args()
     cv2.setNumThreads(2)
     errors: dict[tuple[str, str, str], list[float]] = {}
     for capture, result in zip(options.pairs[::2], options.pairs[1::2], strict=True):
-        truth = read_npz(capture / "truth.npz")
-        estimated = read_source(result, photo=False, surface=True)
-        relief = (truth["height_mm"] - truth["shape_mm"]).astype(np.float32)
-        mask = estimated.mask & np.isfinite(relief)
-        parts = (truth["height_mm"], relief, truth["shape_mm"])
-        true = Source(
-            "result",
-            mask,
-            estimated.pitch_mm,
-            estimated.input_from_upright,
-            estimated.upright_size,
-            *parts,
-            truth.get("x_mm"),
-            truth.get("y_mm"),
-        )
-        grid = surface_grid(
-            true.shape_mm, mask, true.pitch_mm, true.input_from_upright, true.upright_size
-        )
-        slant = np.rad2deg(np.arccos(slant_cos(grid.points_mm)))
-        nodes = np.argwhere(grid.inside)
-        rng = np.random.default_rng(1)
-        # as many places in each zone
-        chosen = []
-        for low, high in ZONES.values():
-            zone = nodes[(slant[tuple(nodes.T)] >= low) & (slant[tuple(nodes.T)] < high)]
-            chosen += list(zone[rng.permutation(len(zone))[: options.points // len(ZONES)]])
-        prints = {
-            (name, kind): make_print(source, "relief" if kind == "plane" else "unroll", kind)
-            for name, source in (("metric", estimated), ("true surface", true))
-            for kind in (*KINDS, "plane")
-        }
-        for node in chosen:
-            place = grid.input_from_grid[:2, :2] @ node[::-1] + grid.input_from_grid[:2, 2]
-            wanted = true_period(truth, true, place, slant[tuple(node)])
-            if wanted is None:
-                continue
-            zone = next(z for z, (low, high) in ZONES.items() if low <= slant[tuple(node)] < high)
-            for (name, kind), finger_print in prints.items():
-                where = finger_print.map.print_from_input(place[None])[0]
-                period = period_at(finger_print.image, where) if np.isfinite(where).all() else None
-                if period is not None:
-                    errors.setdefault((name, kind, zone), []).append(period / wanted - 1.0)
+        for key, values in period_errors(capture, result).items():
+            errors.setdefault(key, []).extend(values)
     table = {}
     for (name, kind, zone), values in sorted(errors.items()):
         off = 100 * np.array(values)

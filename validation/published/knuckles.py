@@ -33,7 +33,7 @@ import splitknit
 import splitknit_match
 import splitknit_simulator
 from splitknit.errors import require
-from splitknit.model import surface_of
+from splitknit.reconstruction import surface_of
 from splitknit_match.evaluation.fusion import FITS, Labels, Model, spread
 from splitknit_match.evaluation.intervals import BootstrapSettings
 from splitknit_match.evaluation.protocol import comparisons

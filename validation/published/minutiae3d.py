@@ -26,7 +26,7 @@ from scored import run, surface_at
 
 from splitknit.finger.ridges import surface_print
 from splitknit.imaging.geometry import height_gradients, sampled_at, smoothed
-from splitknit.model import Surface
+from splitknit.reconstruction import Surface
 from splitknit_match.prints.minutiae import extract
 from splitknit_match.prints.minutiae_record import MIN_MINUTIAE
 from splitknit_match.prints.print_map import plane_map

@@ -25,13 +25,13 @@ from splitknit.errors import BadInput
 from splitknit.finger.regions import blur
 from splitknit.imaging.geometry import bounding_box
 from splitknit.io.capture import read_capture
-from splitknit.model import BoolArray, FloatArray, Surface, surface_of
+from splitknit.model import BoolArray, FloatArray
 from splitknit.pipeline import reconstruct
-from splitknit_match.matching.elastic import bent, bent_by, compare_patches, shown_in_a
+from splitknit.reconstruction import Surface, surface_of
+from splitknit_match.matching.elastic import STILL, PatchGrid, bent, compare_patches, shown_in_a
 from splitknit_match.matching.minutia_pairs import on_ridges
-from splitknit_match.matching.parameters import PITCH_MM
 from splitknit_match.matching.ridge import Prepared, lay
-from splitknit_match.matching.ridge_band import band_places, ridge_band
+from splitknit_match.matching.ridge_band import PITCH_MM, band_places, ridge_band
 from splitknit_match.matching.template import make_template
 
 DIAMETER_MM = 0.13
@@ -146,6 +146,19 @@ def pore_template(surface: Surface, pores: NDArray[np.floating]) -> PoreTemplate
     )
     places = places[away[:, 0] < PITCH_MM / pitch]
     return PoreTemplate(Prepared(template), places[on_ridges(template.valid, places)])
+
+
+PAIR_WEIGHT = 0.16  # of a shift that two pores show: that of a patch whose correlation is 0.6
+
+
+def bent_by(patches: PatchGrid, position: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Smooth shifts (rows, columns, 2) of the grid's patches, from shifts (N, 2) of positions (N,
+    2) in B."""
+    weighted = PAIR_WEIGHT * np.column_stack([shift, np.ones(len(shift))])
+    total = np.zeros((*patches.grid, 3), dtype=np.float32)
+    np.add.at(total, patches.nearest(position), weighted.astype(np.float32))
+    total = cv2.GaussianBlur(total, (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(total[..., :2] / (total[..., 2:] + STILL))
 
 
 def pore_match(a: PoreTemplate, b: PoreTemplate) -> PoreMatch:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.errors import BadInput
-from splitknit.model import Surface
+from splitknit.reconstruction import Surface
 from splitknit_match.evaluation.protocol import comparisons
 from splitknit_match.evaluation.scores import score_table
 from splitknit_match.matching.inputs import read_side

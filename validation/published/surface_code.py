@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from scored import run, surface_at
 
 from splitknit.imaging.geometry import smoothed
-from splitknit.model import BoolArray, FloatArray, Surface
+from splitknit.model import BoolArray, FloatArray
+from splitknit.reconstruction import Surface
 from splitknit_match.prints.curvature import REFERENCE_PX_PER_MM, curvature
 
 ZONES = 9

@@ -14,6 +14,7 @@ four pictures of each; no model of the skin.
 from __future__ import annotations
 
 import heapq
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -22,20 +23,23 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scored import run
 
+from splitknit.capture import Capture
 from splitknit.errors import BadInput
-from splitknit.finger.locate import Finger, prepared_capture
+from splitknit.finger.locate import Finger
 from splitknit.finger.ridges import ink
 from splitknit.finger.steady import find_steady_finger
-from splitknit.imaging.band import linear_stack
-from splitknit.imaging.coloured import balanced
-from splitknit.imaging.polarised import aligned, without_films
 from splitknit.io.capture import read_capture
-from splitknit.model import Capture, FloatArray
+from splitknit.model import FloatArray
+from splitknit.observation.coloured import balanced
+from splitknit.observation.observe import observe
 from splitknit.photometric.lambertian import lambertian
 from splitknit.presets import preset_settings
-from splitknit_match.prints.minutiae import extract, minutiae_match
+from splitknit_match.prints.minutiae import extract
 from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_map import plane_map, resample
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "match"))
+from bozorth3 import bozorth3
 
 MAX_DISTANCE_MM = 0.3
 """Minutiae of two pictures that lie further apart are not the same."""
@@ -157,12 +161,11 @@ def pictures_of(capture: Capture, preset: str = "zheng") -> Iterator[tuple[str, 
     Grey images, distant lights, a matt surface. A picture without any contrast is left out.
     """
     settings = preset_settings(preset)
-    capture, finger = find_steady_finger(
-        aligned(prepared_capture(capture, settings)[0])[0], settings
-    )
-    white = without_films(capture).bands["white"]
+    lit = observe(capture, settings.lights, settings.camera)
+    steady, finger = find_steady_finger(lit, settings)
     window = finger.window
-    stack = np.maximum(linear_stack(white, capture.encoding, "grey", window), np.float32(0.0))
+    white = steady.without_films().white.at(1, window)
+    stack = np.maximum(white.grey, np.float32(0.0))
     if len(stack) < 4:
         raise BadInput(
             "leaving out one image needs at least four of them, but the white band has"
@@ -170,7 +173,7 @@ def pictures_of(capture: Capture, preset: str = "zheng") -> Iterator[tuple[str, 
         )
     mask = finger.mask[window]
     if settings.lights.balance and white.colours:
-        stack = balanced(stack, capture.rig, white, mask)
+        stack = balanced(stack, white.rig, mask)
     pitch = capture.rig.camera.pitch_mm
     matrix = finger.upright.input_from_upright.copy()
     matrix[:2, 2] -= window[1].start, window[0].start
@@ -212,4 +215,4 @@ def features(finger: Path, preset: str) -> Minutiae | None:
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(features, minutiae_match, "zheng"))
+    raise SystemExit(run(features, bozorth3, "zheng"))

@@ -32,15 +32,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.imaging.band import linear_stack
+from splitknit.capture import Capture
 from splitknit.imaging.geometry import gradients_from_normals
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.io.capture import read_capture
-from splitknit.methods.photographs import FingerSurface, diagnosed, placed, prepared
+from splitknit.methods.photographs import FingerSurface, findings_for, photographs_of, placed
 from splitknit.methods.photometry import fast_part
-from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
+from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric.lambertian import lambertian
 from splitknit.presets import PRESETS
+from splitknit.reconstruction import Reconstruction
 from splitknit.report.result import write_results
 
 Array = NDArray[Any]
@@ -272,11 +273,9 @@ def heights(capture: Capture) -> Reconstruction:
     """The surface of a capture, not split, as the preset `ea` reconstructs it by another
     reflectance."""
     settings = PRESETS["ea"]
-    photographs = diagnosed(prepared(capture, settings), settings)
-    white, _ = photographs.white_and_nir(plane_mm=0.0)
-    images = np.maximum(
-        linear_stack(white.band, white.capture.encoding, "grey", white.finger.window), np.float32(0)
-    )
+    photographs = photographs_of(capture, settings.finding())
+    white, _ = photographs.white_and_nir(settings, plane_mm=0.0)
+    images = np.maximum(white.light.grey, np.float32(0))
     normals, albedo = layered_normals(images, white.rig.light_vectors(), white.inside)
     slopes = gradients_from_normals(normals, white.inside, MAX_SLOPE)
     height_mm = frankot_chellappa(*slopes, white.inside) * white.pitch_mm
@@ -286,7 +285,7 @@ def heights(capture: Capture) -> Reconstruction:
         height_mm, relief, height_mm - relief, albedo, normals, whole=True, facts=facts
     )
     result = placed(photographs, surface, settings.top_mm)
-    return replace(result, preset="xie", findings=photographs.findings)
+    return replace(result, preset="xie", findings=findings_for(photographs, settings))
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -11,12 +11,15 @@ import cv2
 import numpy as np
 
 from splitknit import reconstruct
+from splitknit.capture import Capture
 from splitknit.errors import require
-from splitknit.imaging.band import bin_mean
 from splitknit.imaging.light_field import light_vectors_at
-from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction, Rig
+from splitknit.imaging.pixels import bin_mean
+from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.observation.observe import observe
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.presets import PipelineSettings
+from splitknit.reconstruction import Reconstruction
 from splitknit.skin.diffusion import diffusion
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import skin_images
@@ -83,7 +86,7 @@ def left_out(
     """
     count = len(capture.bands[name].leds)
     require(
-        not capture.bands[name].colours,
+        not capture.rig.colours_of(capture.bands[name].leds),
         f"the band '{name}' was lit by coloured LEDs; leave out a white one.",
     )
     require(
@@ -130,8 +133,9 @@ def seen_and_found(
     """All images of the band `name` on one grid, and on it what was found."""
     rows, columns = (np.flatnonzero(result.mask.any(axis=axis)) for axis in (1, 0))
     window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-    bands = tuple(capture.bands[n] for n in dict.fromkeys(("white", name)))
-    grid, images, binning = skin_images(capture, bands, window, result.mask[window])
+    lit = observe(capture)
+    bands = tuple(lit.bands[n] for n in dict.fromkeys(("white", name)))
+    grid, images, binning = skin_images(bands, window, result.mask[window])
 
     def on_grid(field: FloatArray) -> FloatArray:
         return bin_mean(np.nan_to_num(field[window]).astype(np.float32), binning) * grid.mask

@@ -28,8 +28,8 @@ import numpy as np
 from predict import SLANTS_DEG, WAYS, left_out
 
 from splitknit import read_capture, reconstruct
+from splitknit.capture import Capture
 from splitknit.errors import BadInput, require
-from splitknit.model import Capture
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.settings import override
 
@@ -119,7 +119,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         settings = chosen_settings(options.assignments)
         surface = (
-            None if options.surface is None else reconstruct(options.surface, settings=settings)
+            None
+            if options.surface is None
+            else reconstruct(read_capture(options.surface), settings=settings)
         )
         for folder in options.captures:
             capture = read_capture(folder)

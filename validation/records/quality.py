@@ -5,7 +5,7 @@
 writes ``tables/quality.csv`` beside this file: of minutiae that another impression shows, how many
 of each quality it has too (within 0.75 mm and 29 deg, where minutiae lay the two prints on each
 other), and the area under the curve. Presses 1 to 4 of five fingers on each of six sensors (FVC
-2000, 2002, 2004); pairs that do not match are left out. The weights in ``prints/parameters.py``
+2000, 2002, 2004); pairs that do not match are left out. The weights in ``prints/phase_minutiae.py``
 were fitted on these; the columns `held_out` are of weights that were fitted without the sensor
 itself.
 """

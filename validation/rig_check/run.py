@@ -108,12 +108,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--sound", type=_seeds, default=range(1000, 1020), help="seeds, FIRST:END")
     parser.add_argument("--faulty", type=_seeds, default=range(1000, 1003), help="seeds, FIRST:END")
-    parser.add_argument("--defects", nargs="*", default=list(DEFECTS), choices=list(DEFECTS))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=TABLES / "answers.csv")
     chosen = parser.parse_args(arguments)
     seeds = sorted({*chosen.sound, *chosen.faulty})
-    defects = [chosen.defects if seed in chosen.faulty else [] for seed in seeds]
+    defects = [list(DEFECTS) if seed in chosen.faulty else [] for seed in seeds]
     rows: list[dict[str, Any]] = []
     chosen.out.parent.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(chosen.workers) as pool:

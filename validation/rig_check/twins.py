@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import Band, Capture, Led, Rig
+from splitknit import Ambient, Band, Capture, Led, Rig
 from splitknit.model import FloatArray, PixelArray
-from splitknit_rig.acceptance.parameters import SERIES_FRACTIONS
+from splitknit_rig.acceptance.photographs import SERIES_FRACTIONS
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.phantom import phantom
 from splitknit_rig.calibration.radiometry import fit_radiometry
@@ -128,8 +128,7 @@ class Twin:
                 tuple((k,) for k in members),
                 np.ones(len(members)),
                 np.zeros(len(members)),
-                ambient=self._photo(scene.dark * exposure, name, seeds),
-                shading=self.file.camera.shading,
+                ambient=Ambient(self._photo(scene.dark * exposure, name, seeds)),
             )
         return Capture(rig=self.file, bands=bands, material=material)
 

@@ -20,7 +20,8 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.finger.orientation import find_upright
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.model import BoolArray, FloatArray, Reconstruction
+from splitknit.model import BoolArray, FloatArray
+from splitknit.reconstruction import Reconstruction
 from splitknit.skin.grid import Grid
 from splitknit.skin.relief import detail_of
 

@@ -30,8 +30,7 @@ from splitknit_simulator.finger.raycast import (
 )
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import skin_map
-from splitknit_simulator.light.lighting import cut_out, light_on
-from splitknit_simulator.light.parameters import LED_RADIUS_MM
+from splitknit_simulator.light.lighting import LED_RADIUS_MM, cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium
 from splitknit_simulator.scene import TwinSettings
@@ -276,9 +275,7 @@ def hull(finger: Fingers) -> Scan:
         turn = turned("y", deg)
         place = finger.placed(turn)
         rays = rays_of(camera, *(np.arange(n) for n in camera.image_size))
-        _, hit = meet_body(
-            finger.body, place, rays, np.full(rays.x.size, above(finger.body, place))
-        )
+        _, hit = meet_body(finger.body, place, rays, above(finger.body, place))
         masks.append(hit.reshape(camera.image_size))
         views.append(view_of(camera.matrix, turn))
     begun = time.process_time()

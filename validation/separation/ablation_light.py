@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.imaging.band import GREY_WEIGHTS, linear_channels, linear_stack
-from splitknit.model import Band, Capture, FloatArray, default_rig
+from splitknit.capture import Band, Capture
+from splitknit.imaging.pixels import GREY_WEIGHTS
+from splitknit.model import FloatArray
+from splitknit.nominal import default_rig
+from splitknit.observation.observe import observe
 from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
-from splitknit_simulator.light.separation import separate_truth
 from splitknit_simulator.light.skin import SkinOptics, SkinRanges
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.surface import SimulatedSurface
 from splitknit_simulator.twin import photograph
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
+
+from projector import separate_truth
 
 BLACK = 0.1
 """Black level of the changed light in 16 bits, over full scale: noise may fall below zero."""
@@ -78,16 +86,13 @@ def true_shares(twin: Twin, check_mm: float) -> dict[str, FloatArray]:
 
 def without_glare(capture: Capture, name: str, glare: FloatArray) -> Capture:
     """`glare` (L, H, W), in linear light, subtracted from all channels of a band's images."""
-    band = capture.bands[name]
-    channels = ("red", "green", "blue") if band.pixels.shape[-1] == 3 else ("grey",)
-    light = linear_channels(band, capture.encoding, channels)
-    light -= glare
+    light = observe(capture).bands[name].stack - glare
     return _with_band(capture, name, np.moveaxis(light, 0, -1))
 
 
 def in_grey(capture: Capture) -> Capture:
     """The white images without their colours."""
-    light = linear_stack(capture.bands["white"], capture.encoding, "grey")
+    light = observe(capture).white.grey
     return _with_band(capture, "white", light[..., None])
 
 

@@ -1,6 +1,7 @@
 """Write the tables of ``ablation.json`` to ``tables/`` and the short one into
 ``docs/experiments/separation.md``, those of ``clahe.json`` into ``tables/clahe.csv`` and four rows
-of them into ``docs/explain/reconstruction.md``.
+of them into ``docs/explain/reconstruction.md``; errors after the best factor, which amplification
+does not change, into ``tables/best_factor.csv``.
 
 python validation/separation/ablation_report.py          # writes
 python validation/separation/ablation_report.py --check  # exit code 1 if they are out of date
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ablation import statistics
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parents[1] / "docs" / "experiments" / "separation.md"
@@ -40,6 +42,13 @@ CONTRAST_COLUMNS = (
     "normals_mean_deg",
     "surface_rms_mm",
 )
+BEST_FACTOR = (
+    ("network instead of all light", "clahe", "clahe_srgb_cells_3", "clahe_srgb_cells_3_all"),
+    ("CLAHE, all light", "ablation", "snk_clahe_all", "snk_plain_all"),
+    ("true direct light, CLAHE on", "ablation", "snk_clahe_direct", "snk_clahe_all"),
+    ("true direct light, CLAHE off", "ablation", "snk_plain_direct", "snk_plain_all"),
+)
+"""Words, which results, row, and the row it is compared with."""
 REPLICATES = 4000
 COLUMNS = {
     "ridge_correlation": ("ridge correlation", 3),
@@ -216,6 +225,36 @@ def contrast_csv(results: Tree) -> str:
     return text.getvalue()
 
 
+def best_factor_csv(results: Tree, contrast: Tree) -> str:
+    """Ridge error that is left after the factor that suits the finger best, in um, and what near
+    infrared's specular reflection does to the surface, in mm: differences finger by finger."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["what", "fingers", "mean", "unit"])
+    for words, tree, name, against in BEST_FACTOR:
+        rows = [
+            finger["rows"] for finger in {"clahe": contrast, "ablation": results}[tree]["fingers"]
+        ]
+        values = [best_factor_um(row[name]) - best_factor_um(row[against]) for row in rows]
+        table.writerow([words, len(rows), _cell(statistics(values), 2, "+"), "um"])
+    rows = [finger["rows"] for finger in results["fingers"]]
+    values = [
+        row["near_truth_both"]["surface_rms_mm"] - row["near_truth"]["surface_rms_mm"]
+        for row in rows
+    ]
+    words = "surface without near infrared's specular reflection, near lights"
+    table.writerow([words, len(rows), _cell(statistics(values), 3, "+"), "mm"])
+    return text.getvalue()
+
+
+def best_factor_um(row: Mapping[str, float]) -> float:
+    """With e = g t + n: rms(e - t)^2 = s^2 ((g / r)^2 - 2 g + 1), where s is the standard deviation
+    of the true ridges t, g the gain, r the correlation; the best factor leaves s sqrt(1 - r^2)."""
+    gain, correlation = row["ridge_gain"], row["ridge_correlation"]
+    true_um = row["ridge_rms_um"] / float(np.sqrt((gain / correlation) ** 2 - 2.0 * gain + 1.0))
+    return true_um * float(np.sqrt(1.0 - correlation**2))
+
+
 def filled(page: str, text: str, marks: tuple[str, str]) -> str:
     """The page with `text` between its marks."""
     first, last = marks
@@ -239,6 +278,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         TABLES / "ablation.csv": rows_csv(results),
         TABLES / "ablation_pairs.csv": pairs_csv(results),
         TABLES / "clahe.csv": contrast_csv(contrast),
+        TABLES / "best_factor.csv": best_factor_csv(results, contrast),
     }
     stale = [
         place

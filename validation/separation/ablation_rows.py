@@ -14,12 +14,14 @@ from ablation_light import in_grey, true_shares, twin_of, without_glare
 
 from splitknit import pipeline
 from splitknit.accuracy import compare
+from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.finger.locate import Finger, find_finger
-from splitknit.imaging.band import linear_channels
 from splitknit.methods import photographs, thesis
-from splitknit.model import Capture, FloatArray, Reconstruction
+from splitknit.model import FloatArray
+from splitknit.observation.observe import observe
 from splitknit.presets import PipelineSettings, preset_settings
+from splitknit.reconstruction import Reconstruction
 from splitknit.separation.direct import direct_of_enhanced
 from splitknit.settings import override
 
@@ -188,7 +190,7 @@ class Bench:
     def __init__(self, seed: int, scale: float = 0.5) -> None:
         """Photograph the finger and find it in the images as they are."""
         self.twin = twin_of(seed, scale)
-        self.finger = find_finger(self.twin.capture, preset_settings("metric"))
+        self.finger = find_finger(observe(self.twin.capture), preset_settings("metric"))
 
     def figures(self, name: str) -> dict[str, Any]:
         """Of one row, or why there are none."""
@@ -228,9 +230,7 @@ class Bench:
         """(L, H, W) fraction of direct light in the grey images, as the network finds it in the
         linear colours."""
         capture, window = self.twin.capture, self.finger.window
-        light = linear_channels(
-            capture.bands["white"], capture.encoding, ("red", "green", "blue"), window
-        )
+        light = observe(capture).white.at(1, window).stack
         light = np.maximum(light, np.float32(0.0)) * self.finger.wider[window]
         fraction = np.ones((light.shape[1], *capture.shape), dtype=np.float32)
         fraction[(slice(None), *window)] = direct_of_enhanced(
@@ -242,7 +242,13 @@ class Bench:
 def reconstruct(capture: Capture, finger: Finger, settings: PipelineSettings) -> Reconstruction:
     """As :func:`splitknit.reconstruct`, of a finger that has been found."""
     with (
-        mock.patch.object(photographs, "locate_finger", lambda capture, _: (capture, finger)),
-        mock.patch.object(photographs, "diagnose", lambda capture, finger: (capture, finger, ())),
+        mock.patch.object(
+            photographs,
+            "locate_finger",
+            lambda capture, _: (observe(capture).without_films(), finger),
+        ),
+        mock.patch.object(
+            photographs, "diagnose", lambda capture, finger, **_: (capture, finger, ())
+        ),
     ):
         return pipeline.reconstruct(capture, settings=settings)

@@ -9,22 +9,23 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.model import Camera, Led, default_rig
+from splitknit.model import Camera, Led
+from splitknit.nominal import default_rig
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.renderer import RenderSettings
-from splitknit_simulator.light.separation import (
-    Checkerboard,
-    Separated,
-    checkerboard_images,
-    pattern_states,
-    separate_truth,
-)
 from splitknit_simulator.light.skin import Medium, SkinOptics, SkinRanges
 from splitknit_simulator.surface import SimulatedSurface
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
 
 from palms import draw_palm, palm_surface
+from projector import (
+    Checkerboard,
+    Separated,
+    checkerboard_images,
+    pattern_states,
+    separate_truth,
+)
 
 PX_PER_MM = 37.85
 PATCH_SIZE = (224, 240)

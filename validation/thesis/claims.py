@@ -88,7 +88,7 @@ def table(tables: Mapping[str, Sequence[Row]], known: Sequence[Row]) -> str:
         "| --- " * 5 + "|",
     ]
     for number, parts in CLAIMS.items():
-        rows = [row for row in known if row["number"].rstrip("abcde") == str(number)]
+        rows = [row for row in known if row["number"].rstrip("abcdef") == str(number)]
         claim, measured = (
             rows[0]["claim"],
             "; ".join(dict.fromkeys(row["measured"] for row in rows)),

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from trials import Captures, Pairs, Table, Trial, Values
 from variants import GATE
 
+from splitknit.io.paging import one_heap
 from splitknit.model import BoolArray, FloatArray
-from splitknit.steps import one_heap
 from splitknit_match.evaluation.protocol import comparisons
 from splitknit_match.matching.score import dissimilarity
 from splitknit_match.matching.thesis import FingerImages, align_masks, to_box

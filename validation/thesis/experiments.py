@@ -41,6 +41,23 @@ FAMILY_CASES = ("kumar", "zheng", "lin")
 FAMILY_MATCHERS = ("ridge", "minutiae")
 FUSION_VARIANTS = (*COMPARED, Variant("none", "averaged", "all"))
 
+PUBLISHED = {
+    "figure-3-21": (("thesis, n = 3", 0.001, 0.905),),
+    "figure-5-3": (("thesis, all three", 0.01, 0.953),),
+    "figure-5-4": (
+        ("thesis, SnK", 0.01, 0.92),
+        ("thesis, PR", 0.01, 0.90),
+        ("thesis, EA", 0.01, 0.86),
+    ),
+    "figure-5-5": (
+        ("thesis, SnK", 0.01, 0.95),
+        ("thesis, EA", 0.01, 0.93),
+        ("thesis, SnK", 0.001, 0.905),
+        ("thesis, EA", 0.001, 0.788),
+    ),
+}
+"""The thesis's points on its ROC curves: name, FAR, GAR; PR and EA of 5.4 read off the plot."""
+
 
 def run_fusion(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
     """Figure 5.3: attributes and their fusion; with minutiae on the comparisons that they made
@@ -471,7 +488,9 @@ def _rocs(  # noqa: PLR0917
         ]
         curves = [(words, curve) for words, curve in scores if curve is not None]
         if curves:
-            save(roc_figure(curves, settings), options.out / f"{name}{ending}.svg")
+            published = PUBLISHED.get(name, ()) if variant != PLAIN else ()
+            picture = roc_figure(curves, settings, published)
+            save(picture, options.out / f"{name}{ending}.svg")
 
 
 def _write(

@@ -33,14 +33,14 @@ from plots import bars_figure, lines_figure, save
 from scales import SCALES
 
 from splitknit.accuracy import Comparison, compare, high_passed, read_truth
-from splitknit.imaging.band import linear_stack
+from splitknit.capture import Capture
 from splitknit.io.capture import read_capture
 from splitknit.io.images import write_image
 from splitknit.io.pictures import upright_frame
-from splitknit.model import Capture, Reconstruction
-from splitknit.pipeline import reconstruct
+from splitknit.observation.observe import observe
+from splitknit.pipeline import located, reconstruct
+from splitknit.reconstruction import Reconstruction
 from splitknit.report.figures import small_fields
-from splitknit.steps import Memory
 from tables import Row, write_csv
 
 CASES = ("snk", "pr", "ea")
@@ -51,6 +51,7 @@ FREQUENCIES = np.arange(1, 121) * BIN_PER_CM
 """Cycles per cm: middles of the bins of :data:`BIN_PER_CM` in which power is summed."""
 DIFFERENCES = (
     ("3.20 n = 5 power beside the ridges, %", "3.20 n = 3 power beside the ridges, %"),
+    ("3.20 n = 3 ridge correlation", "3.20 n = 4 ridge correlation"),
     ("3.22 NIR: shape error, um", "3.22 white: shape error, um"),
     ("3.22 NIR: shape error, um", "3.22 white, enhanced: shape error, um"),
     ("5.9 pr: error between, um", "5.9 snk: error between, um"),
@@ -58,7 +59,7 @@ DIFFERENCES = (
     ("5.9 ea: ridge correlation", "5.9 snk: ridge correlation"),
     ("5.9 ea: ridge correlation", "5.9 pr: ridge correlation"),
 )
-"""Figures of a finger that claims 15, 25, 26 and 29 compare: the first less the second."""
+"""Figures of a finger that claims 14, 15, 25, 26 and 29 compare: the first less the second."""
 PROFILE_STEP_MM = 0.05
 RESAMPLES = 1000
 
@@ -104,12 +105,12 @@ def measure(capture: Capture) -> Row:
     BadInput
         If it shows no finger, or has no truth.
     """
-    truth, memory = read_truth(capture), Memory(capture)
-    results = {case: reconstruct(capture, case, memory=memory) for case in CASES}
+    truth, finger = read_truth(capture), located(capture, "snk")
+    results = {case: reconstruct(finger, case) for case in CASES}
     against = {case: compare(result, truth) for case, result in results.items()}
     row: Row = {"spectra": _spectra(capture, results["snk"], truth)}
     for count in SCALES:
-        result = reconstruct(capture, "pr-split", {"shapelets.scales": count}, memory=memory)
+        result = reconstruct(finger, "pr-split", {"shapelets.scales": count})
         seen = compare(result, truth)
         slow = bands(result.ridge_mm, seen.surface, result)
         row[f"3.20 n = {count} ridge correlation"] = seen.figures["ridge_correlation"]
@@ -195,7 +196,7 @@ def _spectra(
 
 def _brightness(capture: Capture, name: str) -> Values:
     """Logarithm of the mean image of a band."""
-    grey = linear_stack(capture.bands[name], capture.encoding).astype(np.float64).mean(axis=0)
+    grey = observe(capture).bands[name].grey.astype(np.float64).mean(axis=0)
     return np.asarray(np.log(np.maximum(grey, 1e-3 * float(grey.max()))))
 
 
@@ -377,8 +378,8 @@ def shapes(capture: Capture) -> NDArray[np.uint8]:
 
 
 def _of_cases(capture: Capture) -> tuple[dict[str, Reconstruction], dict[str, NDArray[Any]]]:
-    memory = Memory(capture)
-    results = {case: reconstruct(capture, case, memory=memory) for case in CASES}
+    finger = located(capture, "snk")
+    results = {case: reconstruct(finger, case) for case in CASES}
     true = np.asarray(read_truth(capture)["height_mm"])
     return results, {"truth": true, **{case: result.height_mm for case, result in results.items()}}
 

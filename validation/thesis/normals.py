@@ -22,9 +22,9 @@ from trials import Captures, Pairs, StoreLike, Table, Trial, read_table
 from splitknit import __version__
 from splitknit.io.capture import read_capture
 from splitknit.io.provenance import settings_hash
-from splitknit.model import surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
+from splitknit.reconstruction import surface_of
 from splitknit_match.matching.features import lbp_features
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.thesis import NORMALS, FingerImages

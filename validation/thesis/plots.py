@@ -25,9 +25,13 @@ def save(picture: bytes, file: Path) -> None:
 
 
 def roc_figure(
-    curves: Sequence[tuple[str, Scores]], settings: BootstrapSettings, banded: int = 2
+    curves: Sequence[tuple[str, Scores]],
+    settings: BootstrapSettings,
+    published: Sequence[tuple[str, float, float]] = (),
+    banded: int = 2,
 ) -> bytes:
-    """ROC of several trials; the first `banded` with the band of a bootstrap by finger."""
+    """ROC of several trials; the first `banded` with the band of a bootstrap by finger;
+    `published`: the thesis's points, each a name, FAR and GAR."""
     drawn: list[tuple[str, Scores, Any]] = [(name, scores, None) for name, scores in curves]
     for place, (name, scores) in enumerate(curves[:banded]):
         intervals = bootstrap(scores, "finger", settings)
@@ -36,7 +40,19 @@ def roc_figure(
             scores,
             (intervals.curve_far, intervals.curve_low, intervals.curve_high),
         )
-    return chart(lambda ax: draw_roc(ax, drawn))
+
+    def draw(ax: Any) -> None:
+        for k, (name, far, gar) in enumerate(published):
+            side, away = (("left", 6), ("right", -6))[k % 2]
+            ax.plot(far, gar, "x", color="black", markersize=8)
+            ax.annotate(
+                name, (far, gar), (away, -8), textcoords="offset points", fontsize=7, ha=side
+            )
+        draw_roc(ax, drawn)
+        lowest = min((0.5 * far for _, far, _ in published), default=1.0)
+        ax.set_xlim(left=min(lowest, ax.get_xlim()[0]))
+
+    return chart(draw)
 
 
 def bins_figure(

@@ -103,7 +103,7 @@ def blocks(folder: Path) -> dict[str, str]:
     ]
     return {
         "thesis": "\n".join(
-            f"| {' | '.join((*cells[:place], *cells[place + 1 :]))} |" for cells in rows_shown
+            f"|{'|'.join((*cells[:place], *cells[place + 1 :]))}|" for cells in rows_shown
         )
     }
 

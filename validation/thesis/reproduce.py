@@ -2,19 +2,21 @@
 his beside ours.
 
     python validation/thesis/reproduce.py --out DIR  # as the thesis: 17 people, ten fingers
-    python validation/thesis/reproduce.py --out DIR --people 2      # ten minutes of two cores
+    python validation/thesis/reproduce.py --out DIR --people 3      # fifteen minutes of two cores
     python validation/thesis/reproduce.py --out DIR --figures 5.4,5.5     # what these figures need
     python validation/thesis/reproduce.py --out DIR --scheduler tls://HOST:8786  # on a cluster
 
 It states time and disk before it begins, may be stopped at any moment, and goes on with the same
-command. Everything is written below DIR; ``DIR/index.html`` is the page. Fewer than ten people show
-the fingers of the right hand.
+command, or with fewer people: what was made beyond them stays, and what was compared counts.
+Everything is written below DIR; ``DIR/index.html`` is the page. Fewer than ten people show the
+fingers of the right hand; fewer than three have too few impostors for a rate.
 """
 
 from __future__ import annotations
 
 import argparse
 import html
+import json
 import os
 import shlex
 import shutil
@@ -32,9 +34,10 @@ sys.path.insert(0, str(ROOT / "tools"))
 
 import run as parts  # noqa: E402
 from claims import AVERAGED, CLAIMS, SINGLE, cell  # noqa: E402
-from make_claims_page import verdict  # noqa: E402
+from make_claims_page import counted, criterion, shown, verdict  # noqa: E402
 
 from report import read  # noqa: E402
+from splitknit.io.enrolment import PLAN_FILE, fingers_named  # noqa: E402
 
 CASES = ("snk", "pr", "ea", "ea-split", "metric")
 RIGHT_HAND = "right_thumb,right_index,right_middle,right_ring,right_little"
@@ -56,7 +59,7 @@ class Figure:
     thesis: str  # what it states in numbers
     claims: tuple[str, ...]
     part: str  # of `run.py`, or `steps` of one capture, made here; else `command` makes it
-    pictures: tuple[str, ...]  # that the part writes
+    pictures: tuple[str, ...]  # that the part writes, or tables of the repository
     command: str
 
 
@@ -138,6 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(size.words(examined, options.jobs))
     if options.dry_run:
         return 0
+    plan_anew(options.out / "people", size)
     started = time.perf_counter()
     if needed:
         for k, step in enumerate(steps := list(_steps(options, size, needed, examined))):
@@ -148,6 +152,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     page.write_text(page_of(options.out, wanted, size), encoding="utf-8")
     print(f"{time.perf_counter() - started:.0f} seconds. Open {page} in a browser.")
     return 0
+
+
+def plan_anew(people: Path, size: Size) -> None:
+    """Plan what is wanted now where an earlier run planned more: a plan may grow, but not shrink by
+    itself."""
+    file = people / PLAN_FILE
+    if file.is_file():
+        fingers = fingers_named(size.fingers or "all")
+        plan = json.loads(file.read_text(encoding="utf-8"))
+        plan |= {"subjects": size.people, "sessions": size.sessions, "fingers": fingers}
+        file.write_text(json.dumps(plan, indent=1), encoding="utf-8")
 
 
 def chosen_figures(names: str | None) -> list[Figure]:
@@ -265,16 +280,9 @@ def page_of(out: Path, wanted: Sequence[Figure], size: Size) -> str:
         for name in ("cases", "cases_differences", "fusion", "figures")
     }
     sections = [_section(figure, out, known, tables) for figure in wanted]
-    counts = verdicts(known)
-    counted = ", ".join(f"{count} {word}" for word, count in counts.items())
     population = html.escape(f"{size.people} people, {size.captures} captures, simulated")
-    return PAGE.substitute(size=population, counted=counted, sections="\n".join(sections))
-
-
-def verdicts(known: Sequence[Mapping[str, str]]) -> dict[str, int]:
-    """How many criteria have each verdict."""
-    words = [verdict(row["rule"], row["measured"]) for row in known]
-    return {word: words.count(word) for word in ("confirmed", "refuted", "not decided")}
+    his = [row for row in known if not row["qualifier"]]
+    return PAGE.substitute(size=population, counted=counted(his), sections="\n".join(sections))
 
 
 def _section(
@@ -296,18 +304,12 @@ def _section(
             here[words] = "; ".join(values)
         if here["single"] == here["averaged"]:
             here["single"] = ""
-        for k, row in enumerate(row for row in known if row["number"].rstrip("abcde") == number):
-            published = (
-                row["number"],
-                row["claim"],
-                row["criterion"] or "-",
-                row["measured"].removesuffix(" exactly"),
-            )
+        for k, row in enumerate(row for row in known if row["number"].rstrip("abcdef") == number):
             this_run = (here["averaged"], here["single"]) if k == 0 else ("", "")
-            judged = verdict(row["rule"], row["measured"])
+            judged = verdict(row["rule"], row["measured"], row["fingers"])
             qualified = ", ".join(filter(None, (judged, row["qualifier"])))
-            at_01 = f"; FAR 0.1 % {row['at_far_01']}" if row["at_far_01"] else ""
-            cells = (*published[:3], published[3] + at_01, qualified, *this_run)
+            published = (row["number"], row["claim"], criterion(row), shown(row), qualified)
+            cells = (*published, *this_run)
             rows.append(
                 "<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in cells) + "</tr>"
             )
@@ -330,7 +332,14 @@ def _section(
 
 
 def _picture(out: Path, name: str) -> str:
-    places = (out / "tables" / name, out / "steps" / "steps" / name)
+    """A picture of this run, or a committed table; nothing where it was not made."""
+    if name.endswith(".csv"):
+        return _table(ROOT / name)
+    capture = out / "finger" / "S01" / "session_1" / ONE_FINGER.fingers
+    places = (
+        *(out / "tables" / name, out / "steps" / "steps" / name, out / "steps" / name),
+        capture / name,
+    )
     file = next((place for place in places if place.is_file()), None)
     if file is None:
         return ""
@@ -338,6 +347,19 @@ def _picture(out: Path, name: str) -> str:
     return f'<img src="{name}" alt="{name}">'
 
 
+def _table(file: Path) -> str:
+    """A committed table: what was measured once, at its full size."""
+    rows = read(file)[:TABLE_ROWS]
+    if not rows:
+        return ""
+    lines = [list(rows[0]), *(list(row.values()) for row in rows)]
+    cells = ("".join(f"<td>{html.escape(text)}</td>" for text in line) for line in lines)
+    name = file.relative_to(ROOT).as_posix()
+    return f"<p>{name}:</p><table><tr>{'</tr><tr>'.join(cells)}</tr></table>"
+
+
+TABLE_ROWS = 15
+"""Of a committed table that the page shows."""
 _HEAD = (
     "<tr><th>#</th><th>claim</th><th>criterion</th><th>on the page of claims</th><th>verdict</th>"
     "<th>this run, gate and averages</th><th>this run, single</th></tr>"
@@ -349,7 +371,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--out", type=lambda text: Path(text).resolve(), required=True)
     parser.add_argument("--people", type=int, default=17)
     parser.add_argument("--sessions", type=int, default=4)
     parser.add_argument(

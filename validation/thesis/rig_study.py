@@ -35,9 +35,11 @@ from rig_candidates import (
 from scipy.spatial import cKDTree
 
 from splitknit.accuracy import high_passed
+from splitknit.capture import Band, Capture
 from splitknit.errors import BadInput, require
-from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Reconstruction, Rig
+from splitknit.model import BoolArray, Camera, FloatArray, Led, Rig
 from splitknit.pipeline import reconstruct
+from splitknit.reconstruction import Reconstruction
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus
 from splitknit_simulator.camera.sensor import SensorSettings, record
 from splitknit_simulator.finger.finger import (
@@ -205,9 +207,7 @@ def _printed(surface: SimulatedSurface, where: BoolArray) -> BoolArray:
 def _places(surface: SimulatedSurface) -> tuple[Array, Array]:
     """(H, W) x and y of what each pixel sees, mm; of the pixel on the finger plane beside the
     finger."""
-    x, y = _grid_places(surface.camera)
-    if surface.x_mm is not None and surface.y_mm is not None:
-        return np.where(surface.mask, surface.x_mm, x), np.where(surface.mask, surface.y_mm, y)
+    x, y, _ = surface.sight().at(np.where(surface.mask, surface.height_mm, 0.0))
     return x, y
 
 

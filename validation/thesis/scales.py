@@ -17,12 +17,12 @@ from pathlib import Path
 from compared import Read, Way, each, kept_images, read_images
 
 from splitknit import __version__
+from splitknit.capture import Capture
 from splitknit.io.capture import read_capture
 from splitknit.io.provenance import settings_hash
-from splitknit.model import Capture, surface_of
-from splitknit.pipeline import reconstruct
+from splitknit.pipeline import located, reconstruct
 from splitknit.presets import preset_settings
-from splitknit.steps import Memory
+from splitknit.reconstruction import surface_of
 from splitknit_match.matching.features import lbp_features
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages
@@ -40,12 +40,12 @@ def snk_images(capture: Capture) -> FingerImages:
     BadInput
         If it shows no finger.
     """
-    memory = Memory(capture)  # all share what comes before the shapelets
-    images = surface_images(surface_of(reconstruct(capture, "snk", memory=memory)))
+    finger = located(capture, "snk")
+    images = surface_images(surface_of(reconstruct(finger, "snk")))
     channels = {name: images.channels[name] for name in (*ATTRIBUTES["normals"], "relief")}
     for count in SCALES:
         # as snk up to the relief, without its near-infrared shape
-        result = reconstruct(capture, "pr-split", {"shapelets.scales": count}, memory=memory)
+        result = reconstruct(finger, "pr-split", {"shapelets.scales": count})
         channels[f"snk{count}"] = surface_images(surface_of(result)).channels["relief"]
     return replace(images, channels=channels)
 

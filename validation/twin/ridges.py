@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from volume import into
 
-from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 from splitknit_simulator.light.skin import (
+    REFRACTIVE_INDEX,
     Channel,
     ChannelOptics,
     SkinOptics,
@@ -56,17 +57,6 @@ def _normals(slope: Array) -> Array:
     return np.stack([-slope / length, 0.0 * slope, 1.0 / length])
 
 
-def _into(normals: Array, rng: np.random.Generator) -> Array:
-    fraction = rng.random(normals.shape[1])
-    turn = 2.0 * np.pi * rng.random(normals.shape[1])
-    across = np.stack([normals[2], 0.0 * normals[0], -normals[0]])
-    along = np.array([[0.0], [1.0], [0.0]])
-    side = np.sqrt(fraction)
-    return -np.sqrt(1.0 - fraction) * normals + side * (
-        np.cos(turn) * across + np.sin(turn) * along
-    )
-
-
 def _entering(normals: Array) -> Array:
     cosine = np.maximum(LIGHTS @ normals, 0.0)
     return cosine * (1.0 - fresnel(cosine))
@@ -101,7 +91,7 @@ def walked(
     normals = _normals(_at(slope, x))
     out = 1.0 - float(fresnel(normals[2, 0]))
     points = np.stack([x, 0.0 * x, _at(height, x)])
-    directions = _into(normals, rng)
+    directions = into(normals, rng)
     lengths = np.zeros(WALKS)
     total = np.zeros(len(LIGHTS))
     while lengths.size:
@@ -122,7 +112,7 @@ def walked(
         weight = np.exp(-optics.absorption_per_mm * lengths[gone[leaves]])
         total += np.sum(weight * _entering(normals[:, leaves]), axis=1)
         back = gone[~leaves]
-        scattered[:, back] = _into(normals[:, ~leaves], rng)
+        scattered[:, back] = into(normals[:, ~leaves], rng)
         points[2, back] -= 1e-7
         keep[gone[leaves]] = False
         points, directions, lengths = points[:, keep], scattered[:, keep], lengths[keep]

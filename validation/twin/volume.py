@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Camera, Led
-from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 from splitknit_simulator.light.renderer import RenderSettings, render_band
 from splitknit_simulator.light.skin import (
     CHANNELS,
+    REFRACTIVE_INDEX,
     Medium,
     SkinOptics,
     diffuse_transmittance,
@@ -34,7 +34,8 @@ def _normals(points: Array) -> Array:
     return n / np.linalg.norm(n, axis=0)
 
 
-def _into(normals: Array, rng: np.random.Generator) -> Array:
+def into(normals: Array, rng: np.random.Generator) -> Array:
+    """Directions into the skin, drawn by the cosine to its normals."""
     fraction = rng.random(normals.shape[1])
     turn = 2.0 * np.pi * rng.random(normals.shape[1])
     across = np.stack([normals[2], 0.0 * normals[0], -normals[0]])
@@ -59,7 +60,7 @@ def volume_radiance(
     the lights."""
     start = np.array([[x_mm], [0.0], [HALF_HEIGHT_MM * np.sqrt(1.0 - (x_mm / HALF_WIDTH_MM) ** 2)]])
     points = np.repeat(start, WALKS, axis=1)
-    directions = _into(_normals(points), rng)
+    directions = into(_normals(points), rng)
     lengths = np.zeros(WALKS)
     axes = np.array([[1.0 / HALF_WIDTH_MM], [0.0], [1.0 / HALF_HEIGHT_MM]])
     total = np.zeros(len(LIGHTS))
@@ -87,7 +88,7 @@ def volume_radiance(
                 weight * _received(points[:, out[leaves]], normals[:, leaves], light)
             )
         directions = np.stack([side * np.cos(turn), side * np.sin(turn), z])
-        directions[:, out[~leaves]] = _into(normals[:, ~leaves], rng)
+        directions[:, out[~leaves]] = into(normals[:, ~leaves], rng)
         keep[out[leaves]] = False
         points, directions, lengths = points[:, keep], directions[:, keep], lengths[keep]
     out_share = 1.0 - float(fresnel(_normals(start)[2, 0]))
