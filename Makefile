@@ -18,9 +18,9 @@ EXTRAS ?= minutiae
 LOCK_ARGS ?=
 
 # the member of each extra
-$(foreach name,mesh photos,$(eval OF_$(name) := splitknit[$(name)]))
+$(eval OF_photos := splitknit[photos])
 $(eval OF_capture := splitknit-rig[capture])
-$(foreach name,cluster encrypt minutiae pad plot records serve,$(eval OF_$(name) := splitknit-match[$(name)]))
+$(foreach name,cluster encrypt mesh minutiae plot records serve,$(eval OF_$(name) := splitknit-match[$(name)]))
 comma := ,
 wanted := $(subst $(comma), ,$(EXTRAS))
 
@@ -103,7 +103,7 @@ lock:
 	$(VENV)/lock/bin/python -m pip install --quiet --require-hashes -r $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/uv pip compile --quiet --universal --generate-hashes --no-annotate --custom-compile-command 'make lock' \
 		--python-version 3.11 $(foreach name,capture,) \
-		$(foreach name,mesh photos plot cluster encrypt minutiae pad records serve,--extra $(name)) \
+		$(foreach name,mesh photos plot cluster encrypt minutiae records serve,--extra $(name)) \
 		--group dev --group browser --group docs --group hardware --group install --group reference --group training \
 		$(MEMBERS:%=--no-emit-package %) \
 		$(LOCK_ARGS) --output-file constraints.txt $(MEMBERS:%=packages/%/pyproject.toml)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from splitknit.finger.orientation import find_upright
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_match.evaluation.curves import chart, draw_roc
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons

@@ -19,11 +19,12 @@ import numpy as np
 import splitknit
 from splitknit.finger.ridges import surface_print
 from splitknit.io.images import write_image
-from splitknit.model import surface_of
+from splitknit.reconstruction import surface_of
 from splitknit_match.matching.methods import rate
+from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import surface_template
-from splitknit_match.prints.minutiae import extract, minutiae_match
+from splitknit_match.prints.minutiae import extract
 from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
@@ -72,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
             f"  by ridges {match.similarity:.2f} (turned by {match.rotation_deg:+.1f} deg,"
             f" {match.overlap_mm2:.0f} mm2 in common); impostors reach that {often}"
         )
-        print(f"  by minutiae (bozorth3) {score:.0f}")
+        print(f"  by minutiae {score:.2f}")
     if options.out is not None:
         tall = max(image.shape[0] for image, _ in prints.values())
         panels = [

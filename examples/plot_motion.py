@@ -19,8 +19,8 @@ import splitknit
 from splitknit.accuracy import compare
 from splitknit.finger.ridges import surface_print
 from splitknit.io.images import write_image
-from splitknit.model import surface_of
 from splitknit.presets import PRESETS
+from splitknit.reconstruction import surface_of
 from splitknit_simulator.finger.motion import HandMotion
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture

@@ -14,22 +14,27 @@ DIR``.
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
 
 from splitknit.io.images import write_image
-from splitknit.model import Camera, default_rig
+from splitknit.model import Camera
+from splitknit.nominal import default_rig
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.stacks import Separation
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
-from splitknit_simulator.light.separation import (
+from splitknit_simulator.light.skin import SkinOptics
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "training"))
+
+from projector import (
     Checkerboard,
     checkerboard_stack,
     pattern_states,
     separate_truth,
 )
-from splitknit_simulator.light.skin import SkinOptics
 
 CHECK_MM, PX_PER_MM, SIDE_PX = 0.4, 20.0, 96
 

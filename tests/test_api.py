@@ -14,10 +14,11 @@ import splitknit
 import splitknit_match
 import splitknit_rig
 import splitknit_simulator
+from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.io.provenance import plain_json
-from splitknit.model import Capture, Reconstruction
+from splitknit.reconstruction import Reconstruction
 from splitknit_simulator.scene import TwinSettings
 
 SRC = Path(splitknit.__file__).parent
@@ -100,7 +101,7 @@ def test_paths_and_objects_are_the_same(
     capture: Capture, result: Reconstruction, tmp_path: Path
 ) -> None:
     write_capture(capture, tmp_path / "c")
-    by_path = splitknit.reconstruct(str(tmp_path / "c"), "ea")
+    by_path = splitknit.reconstruct(splitknit.read_capture(tmp_path / "c"), "ea")
     np.testing.assert_allclose(
         by_path.height_mm[by_path.mask], result.height_mm[result.mask], atol=1e-5
     )
@@ -118,7 +119,7 @@ def test_paths_and_objects_are_the_same(
 
 def test_a_folder_that_is_no_capture_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="capture"):
-        splitknit.reconstruct(tmp_path)
+        splitknit.read_capture(tmp_path)
 
 
 def test_lights_from_the_drawing(tmp_path: Path) -> None:

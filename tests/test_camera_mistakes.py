@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import splitknit_simulator
-from splitknit.methods.photographs import diagnosed, prepared
-from splitknit.model import Capture
+from splitknit.capture import Capture
+from splitknit.methods.photographs import findings_for, photographs_of
 from splitknit.presets import PRESETS
 
 Light = np.ndarray[Any, np.dtype[np.float32]]
@@ -41,7 +41,9 @@ def stored(
     bands = {}
     for name, band in sound(equal).bands.items():
         pixels = np.stack([bytes_of(image, k) for k, image in enumerate(band.pixels)])
-        room = None if band.ambient is None or not ambient else bytes_of(band.ambient, -1)
+        room = band.ambient if ambient else None
+        if room is not None:
+            room = replace(room, pixels=bytes_of(room.pixels, -1))
         bands[name] = replace(band, pixels=pixels, ambient=room)
     return replace(sound(equal), bands=bands)
 
@@ -68,8 +70,9 @@ MISTAKES: dict[str, tuple[Callable[[Light, int], Light], str]] = {
 
 def doubts_of(capture: Capture) -> list[str]:
     """Codes of what is wrong with the photographs, first what is worst."""
-    photographs = diagnosed(prepared(capture, PRESETS["metric"]), PRESETS["metric"])
-    return [finding.code for finding in photographs.findings if finding.severity != "note"]
+    metric = PRESETS["metric"]
+    findings = findings_for(photographs_of(capture, metric.finding()), metric)
+    return [finding.code for finding in findings if finding.severity != "note"]
 
 
 @pytest.mark.slow

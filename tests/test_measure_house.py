@@ -69,12 +69,41 @@ def test_a_small_house_is_measured(tmp_path: Path) -> None:
     assert measured["one_importer_in_the_same_folder"] == 1  # steps.py, of pipeline.py alone
 
 
-def test_numbers_outside_of_parameters_name_their_source(tmp_path: Path) -> None:
-    unsourced = runpy.run_path(str(SCRIPT))["unsourced_constants"]
-    (tmp_path / "near.py").write_text(
-        'A, B = 1, 2\nINCH = 25.4\n"""Source: definition."""\n_C = 3\nNAME = "a"\n'
-    )
-    (tmp_path / "parameters.py").write_text("D = 1\n")
-    assert unsourced(tmp_path) == ["near.py: A, B", "near.py: _C"]
-    for source in SCRIPT.parents[1].glob("packages/*/src"):
-        assert unsourced(source) == []
+NUMBERS = '''
+A, B = 1, 2
+INCH = 25.4
+"""Source: definition."""
+_C = (3.0, 4)
+"""Angles.
+
+Chosen on: real photographs."""
+NAME = "a"
+TABLE = {}
+small = 1
+DARK = Limit("a", 1)
+"""Chosen on: speed."""
+
+class BallThresholds:
+    radius_px: float = 8.5
+    """Source: thesis."""
+    rays: int = 360
+    name: str = ""
+
+class Ball:
+    radius_px: float = 1.0
+'''
+
+
+def test_tuned_constants_are_numbers_without_a_source(tmp_path: Path) -> None:
+    (tmp_path / "near.py").write_text(NUMBERS)
+    constants = list(runpy.run_path(str(SCRIPT))["constants"](tmp_path))
+    assert [(c.name, c.tuned) for c in constants] == [
+        ("A", True),
+        ("B", True),
+        ("INCH", False),
+        ("_C", True),
+        ("DARK", True),
+        ("BallThresholds.radius_px", False),
+        ("BallThresholds.rays", True),
+    ]
+    assert constants[3].words == "Angles. Chosen on: real photographs."

@@ -75,7 +75,6 @@ DEMO_RUN = [["demo", "--scale", "0.165"]]
 VERBS_RUN = [  # snk runs its network at any size
     ["reconstruct", "CAPTURE", "--out", "result", "--preset", "snk"],
     ["print", "CAPTURE", "--out", "print", "--preset", "snk"],
-    ["pad", "CAPTURE", "--preset", "snk"],
     ["match", "CAPTURE", "--template", "finger.skt", "--preset", "snk"],
     [
         "enroll",
@@ -128,17 +127,7 @@ def watched(code: str, folder: Path, *arguments: str, strace: bool) -> list[Even
     }
     command = ["unshare", "-rn"] if works("unshare", "-rn", "true") else []
     if strace:
-        command += [
-            "strace",
-            "-ff",
-            "-y",
-            "--seccomp-bpf",
-            "-qq",
-            "-o",
-            str(outside / "log" / "of"),
-            "-e",
-            SYSCALLS,
-        ]
+        command += [*f"strace -ff -y --seccomp-bpf -qq -o {outside}/log/of -e".split(), SYSCALLS]
     else:
         path = os.pathsep.join(
             [str(outside / "hook"), *filter(None, [environment.get("PYTHONPATH")])]

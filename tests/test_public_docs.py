@@ -90,15 +90,16 @@ def test_a_public_name_without_words_is_found(
     assert "splitknit.Led is public and has no docstring" in caplog.text
 
 
-def test_links_out_of_the_pages_become_paths(
+def test_links_out_of_the_pages_become_paths_and_tables_are_copied(
     hooks: ModuleType, caplog: pytest.LogCaptureFixture
 ) -> None:
     text = "[README](../README.md), [code](../packages/splitknit/src/splitknit/model.py#a), "
-    text += "[page](guide/install.md), [gone](../gone.py)"
+    text += "[page](guide/install.md), [table](../validation/thesis/tables/claims.csv), "
+    text += "[gone](../gone.py)"
     with caplog.at_level(logging.WARNING):
         linked = hooks.inside(text, hooks.DOCS, lambda picture: picture.name)
     assert linked.startswith(
         "README (`README.md`), code (`packages/splitknit/src/splitknit/model.py`),"
-        " [page](guide/install.md)"
+        " [page](guide/install.md), [table](claims.csv)"
     )
     assert "no file ../gone.py" in caplog.text

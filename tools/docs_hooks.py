@@ -1,9 +1,10 @@
 """What mkdocs needs beside the pages: links out of ``docs``, the help of every verb, public names,
 tables made of the code, executed notebooks.
 
-``mkdocs.yml`` names this file. A link to a file of the repository that is not a page becomes the
-file's path; one that leads nowhere ends a strict build, as does a public name without a docstring,
-or a page that would fetch something when it is read.
+``mkdocs.yml`` names this file. A link to a table of the repository leads to a copy in the site, one
+to any other file that is not a page becomes the file's path; one that leads nowhere ends a strict
+build, as does a public name without a docstring, or a page that would fetch something when it is
+read.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ ARRAYS = (
     "splitknit.imaging.light_field.light_vectors_at",
     "splitknit.integration.frankot_chellappa.frankot_chellappa",
     "splitknit.integration.poisson.poisson",
+    "splitknit.integration.poisson.piecewise",
     "splitknit.integration.shapelets.shapelets",
     "splitknit.integration.shapelets.shapelet_response",
 )
@@ -57,9 +59,13 @@ RESULTS = (
 """What public functions return."""
 
 
+COPIED = (".csv", ".json")
+"""Endings of tables, which a reader may want to open."""
+
+
 def inside(markdown: str, folder: Path, add: Callable[[Path], str]) -> str:
-    """Replace links to files outside `DOCS` by the files' paths; `add` takes a picture into the
-    site."""
+    """Replace links to files outside `DOCS` by the files' paths; `add` takes a picture or a table
+    into the site."""
 
     def path_of(link: re.Match[str]) -> str:
         label, target = link[2], link[3].partition("#")[0]
@@ -71,8 +77,8 @@ def inside(markdown: str, folder: Path, add: Callable[[Path], str]) -> str:
         if not file.exists():
             LOG.warning("%s: no file %s", folder.relative_to(ROOT), target)
             return link[0]
-        if link[1]:
-            return f"![{label}]({os.path.relpath(DOCS / add(file), folder)})"
+        if link[1] or file.suffix in COPIED:
+            return f"{link[1]}[{label}]({os.path.relpath(DOCS / add(file), folder)})"
         name = file.relative_to(ROOT).as_posix()
         return f"`{name}`" if label.strip("`") in (name, file.name) else f"{label} (`{name}`)"
 
@@ -159,10 +165,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
     from mkdocs.structure.files import File  # the tests load this file without mkdocs
 
-    def add(picture: Path) -> str:
-        uri = f"images/outside/{picture.relative_to(ROOT).as_posix()}"
+    def add(file: Path) -> str:
+        uri = f"outside/{file.relative_to(ROOT).as_posix()}"
         if files.get_file_from_path(uri) is None:
-            files.append(File.generated(config, uri, abs_src_path=str(picture)))
+            files.append(File.generated(config, uri, abs_src_path=str(file)))
         return uri
 
     for mark, make in (

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
-from splitknit_simulator.light.skin import RADIUS_EDGES, WalkTable, fresnel
+from splitknit_simulator.light.skin import RADIUS_EDGES, REFRACTIVE_INDEX, WalkTable, fresnel
 
 WALKS = 6_000_000
 SEED = 20261120

@@ -3,8 +3,7 @@ or as JSON.
 
     python tools/measure_house.py [--json] [--src packages/splitknit/src ...]
 
-Nothing of the package is executed but one ``import splitknit.pipeline`` in a fresh interpreter.
-What is counted:
+Nothing of the package is executed. What is counted:
 
 - settings: annotated fields of classes whose name ends in ``Settings``, and of those derived from
   ``Checked``;
@@ -24,7 +23,8 @@ What is counted:
 - files to the equations, and to the PLY: files on the shortest chain of imports (lazy ones
   included) from the verb ``reconstruct`` to the least squares of photometric stereo, and to the
   mesh writer;
-- unsourced constants: upper-case numbers outside ``parameters.py`` that name no ``Source:``;
+- tuned constants: upper-case numbers of modules and fields of ``*Thresholds`` whose docstring names
+  no ``Source:``, and what states ``Chosen on:``;
 - circles: sets of modules that import each other, lazily or not;
 - one importer: files that one other file alone imports, in the same folder.
 """
@@ -39,18 +39,21 @@ import json
 import re
 import subprocess
 import sys
-import time
 import tokenize
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 VERB = ("splitknit.folders",)
 EQUATIONS = ("splitknit.photometric.lambertian",)
 MESH = ("splitknit.io.mesh",)
 ENTRIES = ("reconstruct",)
 """Functions that may take whole settings: they pick a method and its parameters."""
-TUNED = "parameters.py"
+CHOSEN = "Chosen on:"
+"""What the docstring says of a constant that holds a tuned number beside words."""
+THRESHOLDS = "Thresholds"
+"""How the name of a dataclass of tuned constants ends."""
 GENERATED = ("guide/examples.md",)
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -237,22 +240,45 @@ def members(sources: Sequence[Path]) -> list[dict[str, str | int]]:
     return [*rows, {"member": "all", **every}]
 
 
-def unsourced_constants(source: Path) -> list[str]:
-    """Upper-case numeric constants outside ``parameters.py`` whose docstring names no ``Source:``,
-    or that share their line."""
-    unsourced = []
-    for path in sorted(file for file in source.rglob("*.py") if file.name != TUNED):
-        body = ast.parse(path.read_text(encoding="utf-8")).body
-        for line, following in itertools.zip_longest(body, body[1:], fillvalue=ast.Pass()):
-            if not isinstance(line, ast.Assign | ast.AnnAssign) or line.value is None:
-                continue
-            target = line.targets[0] if isinstance(line, ast.Assign) else line.target
-            names = [node.id for node in ast.walk(target) if isinstance(node, ast.Name)]
-            upper = bool(names) and all(name.lstrip("_").isupper() for name in names)
-            words = ast.get_docstring(ast.Module([following], [])) or ""
-            if upper and _numeric(line.value) and (len(names) > 1 or "Source:" not in words):
-                unsourced.append(f"{path.relative_to(source)}: {', '.join(names)}")
-    return unsourced
+class Constant(NamedTuple):
+    """A named number, or a table of numbers."""
+
+    module: str
+    name: str
+    """With its class, if it is a field of thresholds."""
+    value: ast.expr
+    words: str
+    """Docstring below it, on one line; empty where there is none."""
+
+    @property
+    def tuned(self) -> bool:
+        """It could have another value: no paper, standard or definition gives it."""
+        return "Source:" not in self.words
+
+
+def constants(source: Path) -> Iterator[Constant]:
+    """Upper-case numbers of modules, numeric fields of ``*Thresholds``, and what states what it was
+    chosen on."""
+    for path in sorted(source.rglob("*.py")):
+        module = _module(path, source)
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        groups = [("", tree.body)]
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef) and node.name.endswith(THRESHOLDS):
+                groups.append((f"{node.name}.", node.body))
+        for prefix, body in groups:
+            for line, following in itertools.zip_longest(body, body[1:], fillvalue=ast.Pass()):
+                if not isinstance(line, ast.Assign | ast.AnnAssign) or line.value is None:
+                    continue
+                target = line.targets[0] if isinstance(line, ast.Assign) else line.target
+                names = [node.id for node in ast.walk(target) if isinstance(node, ast.Name)]
+                upper = all(name.lstrip("_").isupper() for name in names)
+                words = " ".join((ast.get_docstring(ast.Module([following], [])) or "").split())
+                number = _numeric(line.value) or CHOSEN in words
+                if not ((prefix or upper) and number):
+                    continue
+                for name in names:
+                    yield Constant(module, prefix + name, line.value, words)
 
 
 def _numeric(value: ast.expr) -> bool:
@@ -287,19 +313,6 @@ def measure(sources: Sequence[Path]) -> dict[str, float | int | None]:
     texts = [path.read_text(encoding="utf-8") for path in house.files.values()]
     names, parameters = house.module_names(), list(house.parameters())
     readme = ROOT / "README.md"
-    started = time.perf_counter()
-    code = (
-        "import sys, splitknit.pipeline; print(sum(m.split('.')[0] == 'splitknit' for m in"
-        " sys.modules))"
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PYTHONPATH": ":".join(map(str, sources))},
-    )
-    seconds = time.perf_counter() - started
     return {
         "python_files": len(house.files),
         "lines": sum(len(text.splitlines()) for text in texts),
@@ -318,9 +331,9 @@ def measure(sources: Sequence[Path]) -> dict[str, float | int | None]:
         ),
         "files_to_the_equations": len(house.chain(VERB, EQUATIONS)),
         "files_to_the_ply": len(house.chain(VERB, MESH)),
-        "modules_of_pipeline": int(run.stdout) if run.returncode == 0 else None,
-        "import_pipeline_s": round(seconds, 2) if run.returncode == 0 else None,
-        "unsourced_constants": sum(len(unsourced_constants(source)) for source in sources),
+        "tuned_constants": sum(
+            constant.tuned for source in sources for constant in constants(source)
+        ),
         "import_circles": len(house.circles()),
         "one_importer_in_the_same_folder": len(house.single_importer()),
     }

@@ -3,8 +3,8 @@ every code of a finding, every tuned constant.
 
     python tools/reference_tables.py settings      # prints one: settings, findings or parameters
 
-The words are the docstrings below the fields of the settings' dataclasses and below the constants
-of each ``parameters.py``, and the tables of codes.
+The words are the docstrings below the fields of the settings' dataclasses and below constants, and
+the tables of codes.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import ast
 import inspect
 import json
 import re
+import runpy
 import sys
 import textwrap
 from collections import Counter
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from functools import cache
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +35,11 @@ from splitknit_simulator.population.sessions import PopulationSettings
 from splitknit_simulator.scene import TwinSettings
 
 PACKAGES = Path(__file__).resolve().parents[1] / "packages"
-FACTS = re.compile(r"(.*?) ?Unit: (.+?)\. Chosen on: (.+?)\. Range: (.+?)\.")
-"""How the docstring of a tuned constant ends."""
+FACTS = re.compile(r"(.*?) ?(?:Source|Chosen on): (.+?)\.(?: Range: (.+?)\.)?")
+"""Docstring of a constant that states where its value comes from."""
 SIMULATED = "simulated"
-UNKNOWN = "not known"
+UNSTATED = re.compile("definition|derived|judgement$|not known")
+"""Statements that leave a constant out of the table: nothing was measured or read."""
 LONGEST_VALUE = 60
 """Characters; a longer value is a table."""
 
@@ -199,79 +200,51 @@ def findings_table() -> str:
     return "\n\n".join(parts)
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One tuned constant; `package` is the import path of its folder."""
-
-    package: str
-    name: str
-    value: str
-    words: str
-    unit: str
-    chosen_on: str
-    range: str
-
-
-def parameters() -> list[Parameter]:
-    """Every constant of the members' ``parameters.py``, by member and package.
-
-    Raises
-    ------
-    ValueError
-        If the docstring of one does not end with its unit, what it was chosen on, and its range.
-    """
-    tuned = []
-    for path in sorted(PACKAGES.glob("*/src/**/parameters.py")):
-        folders = path.parent.parts
-        package = ".".join(folders[folders.index("src") + 1 :])
-        body = ast.parse(path.read_text(encoding="utf-8")).body
-        for line, following in zip(body, [*body[1:], ast.Pass()], strict=True):
-            if not isinstance(line, ast.Assign | ast.AnnAssign) or line.value is None:
-                continue
-            name = ast.unparse(line.targets[0] if isinstance(line, ast.Assign) else line.target)
-            text = ast.get_docstring(ast.Module([following], [])) or ""
-            facts = FACTS.fullmatch(" ".join(text.split()))
-            if facts is None:
-                raise ValueError(f"{path}: {name} does not say unit, what it was chosen on, range.")
-            tuned.append(Parameter(package, name, ast.unparse(line.value), *facts.groups()))
-    return tuned
-
-
 def parameters_table() -> str:
-    """How many there are, and every one."""
-    tuned = parameters()
-    simulated = [each for each in tuned if each.chosen_on.startswith(SIMULATED)]
-    members = Counter(constant.package.partition(".")[0] for constant in tuned)
-    counts = [
-        f"**{len(tuned)} constants** ("
+    """How many tuned constants there are, and every one that states what it was chosen on."""
+    constants = runpy.run_path(str(Path(__file__).with_name("measure_house.py")))["constants"]
+    members: Counter[str] = Counter()
+    tables: dict[str, list[str]] = {}
+    simulated = 0
+    for source in sorted(PACKAGES.glob("*/src")):
+        for constant in constants(source):
+            members[constant.module.partition(".")[0]] += constant.tuned
+            facts = FACTS.fullmatch(constant.words)
+            if facts is None or UNSTATED.match(facts[2]):
+                continue
+            simulated += facts[2].startswith(SIMULATED)
+            module = constant.module.removesuffix(".parameters")
+            tables.setdefault(module, []).append(
+                _row(constant.name, ast.unparse(constant.value), *facts.groups())
+            )
+    head = (
+        f"**{members.total()} tuned constants** ("
         + ", ".join(f"`{member}` {count}" for member, count in members.items())
-        + f"). {len(simulated)} were chosen on this project's simulator alone. Not known: what"
-        f" {sum(constant.chosen_on == UNKNOWN for constant in tuned)} were chosen on, and the range"
-        f" of {sum(constant.range == UNKNOWN for constant in tuned)}.",
-    ]
-    for package, constants in groupby(tuned, key=lambda constant: constant.package):
-        counts += [
-            f"## {package}",
-            "\n".join(
-                [
-                    "| constant | value | unit | what it is | chosen on | hardly changes |",
-                    "| --- | --- | --- | --- | --- | --- |",
-                    *map(_row, constants),
-                ]
+        + f"). {simulated} were chosen on this project's simulator alone. Those that state what"
+        " they were chosen on, or a source:"
+    )
+    columns = (
+        "| constant | value | what it is | chosen on, or source | hardly changes |",
+        "| --- | --- | --- | --- | --- |",
+    )
+    return "\n\n".join(
+        [
+            head,
+            *(
+                f"## {module}\n\n" + "\n".join([*columns, *table])
+                for module, table in tables.items()
             ),
         ]
-    return "\n\n".join(counts)
+    )
 
 
-def _row(constant: Parameter) -> str:
-    value = constant.value if len(constant.value) <= LONGEST_VALUE else "a table"
+def _row(name: str, value: str, words: str, basis: str, interval: str | None) -> str:
     cells = (
-        f"`{constant.name}`",
-        value,
-        constant.unit,
-        re.sub(r":\w+:`", "`", constant.words).replace("``", "`"),
-        constant.chosen_on,
-        constant.range,
+        f"`{name}`",
+        value if len(value) <= LONGEST_VALUE else "a table",
+        re.sub(r":\w+:`", "`", words).replace("``", "`"),
+        basis,
+        "" if interval in (None, "not known") else interval,
     )
     return "| " + " | ".join(cell.replace("|", " or ") for cell in cells) + " |"
 

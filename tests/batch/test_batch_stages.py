@@ -16,11 +16,11 @@ from splitknit.finger.ridges import relief_print
 from splitknit.io.capture import read_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.prints import read_print_png
-from splitknit.model import surface_of
 from splitknit.pipeline import reconstruct
+from splitknit.reconstruction import surface_of
 from splitknit_match.batch.cases import Case
 from splitknit_match.batch.store import Store
-from splitknit_match.batch.tables import read_origin, write_table
+from splitknit_match.batch.tables import read_origin
 from splitknit_match.evaluation.scores import read_scores
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import surface_images, surface_template
@@ -76,14 +76,7 @@ def test_two_processes_leave_what_one_leaves(
 ) -> None:
     run(people, tmp_path / "other", jobs=2)
     assert tables(tmp_path / "other") == tables(reconstructed)
-    assert len(tables(reconstructed)) == 4
-
-
-def test_what_is_there_is_not_done_again(people: Path, store: Path) -> None:
-    before = {file: file.stat().st_mtime_ns for file in store.rglob("*.npz")}
-    facts = run(people, store)
-    assert (facts["reconstructed"], facts["found"]) == (0, 4)
-    assert {file: file.stat().st_mtime_ns for file in store.rglob("*.npz")} == before
+    assert len(tables(reconstructed)) == 8  # features and surfaces
 
 
 def test_a_lost_table_alone_is_made_again_and_leftovers_go(people: Path, store: Path) -> None:
@@ -277,7 +270,6 @@ def test_the_thesis_and_minutiae_compare_what_is_kept(people: Path, store: Path)
         == code_match(*map(code_side, sides)).shift_px
     )
     scores = Store(store).scores("ea", "minutiae")
-    assert scores["similarity"].tolist() == scores["bozorth3"].tolist()
     assert (
         scores["similarity"][scores["genuine"]].min()
         > scores["similarity"][~scores["genuine"]].max()
@@ -289,32 +281,9 @@ def test_the_thesis_and_minutiae_compare_what_is_kept(people: Path, store: Path)
 
 
 @pytest.mark.slow
-def test_several_captures_in_a_table_are_read_as_earlier_programs_wrote_them(
-    people: Path, store: Path
-) -> None:
-    pytest.importorskip("nbis")
-    run(people, store, "ridge", "minutiae")
-    scores, csv = tables(store), (store / "csv" / "ea_ridge.csv").read_bytes()
-    rows = rows_of(Store(store).features("ea"))
-    origins = [read_origin(file) for file in Store(store).files("features", "ea")]
-    inputs = {name: sha256 for origin in origins for name, sha256 in origin["inputs"].items()}
-    for folder in ("features", "minutiae", "scores", "csv"):
-        shutil.rmtree(store / folder)
-    write_table(
-        store / "features" / "ea" / "00000-9a514bad3d49.npz", rows, origins[0] | {"inputs": inputs}
-    )
-    assert run(people, store, "ridge", "minutiae")["reconstructed"] == 0
-    again = tables(store)
-    assert {
-        name: again[name] for name in scores if name.startswith("scores")
-    }.items() <= scores.items()
-    assert (store / "csv" / "ea_ridge.csv").read_bytes() == csv
-
-
-@pytest.mark.slow
 def test_stores_without_surfaces_say_so(people: Path, tmp_path: Path) -> None:
     run(people, tmp_path / "out", surfaces=False)
-    with pytest.raises(BadInput, match="without them"):
+    with pytest.raises(BadInput, match="made without its surface"):
         run(people, tmp_path / "out", "thesis")
 
 
@@ -339,7 +308,7 @@ def test_other_populations_versions_and_folders_are_refused(
     for change, words in (
         (
             {"format_version": 2},
-            "version 2, and this is a reader of version 3; run the batch again",
+            "version 2, and this is a reader of version 4; run the batch again",
         ),
         ({"version": "9.9"}, "made with another version"),
         ({"cases": 3}, "damaged"),

@@ -16,11 +16,12 @@ import pytest
 import splitknit_match
 from handmade import capture_of, finger
 from splitknit import pipeline
+from splitknit.capture import Capture
 from splitknit.cli.app import build_app, options_of, words_of_verbs
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
-from splitknit.model import Capture, Reconstruction
+from splitknit.reconstruction import Reconstruction
 from splitknit.report.result import FILES
 
 Captured = pytest.CaptureFixture[str]
@@ -66,16 +67,7 @@ def test_reconstruct_writes_and_says_so(
 ) -> None:
     out = capture_folder.parent / "result"
     code = main(
-        [
-            "reconstruct",
-            str(capture_folder),
-            "--out",
-            str(out),
-            "--preset",
-            "snk",
-            "--set",
-            "knit.method=addition",
-        ]
+        f"reconstruct {capture_folder} --out {out} --preset snk --set knit.method=addition".split()
     )
     output = capsys.readouterr()
     assert code == 0
@@ -97,7 +89,7 @@ def test_json_is_one_object_and_nothing_else(
     capture_folder: Path, seen: dict[str, Any], capsys: Captured
 ) -> None:
     out = capture_folder.parent / "result"
-    assert main(["reconstruct", str(capture_folder), "--out", str(out), "--json"]) == 0
+    assert main(f"reconstruct {capture_folder} --out {out} --json".split()) == 0
     output = capsys.readouterr()
     facts = json.loads(output.out)
     assert facts["preset"] == "metric"
@@ -105,16 +97,6 @@ def test_json_is_one_object_and_nothing_else(
     assert facts["findings"][0]["severity"] in ("spoils", "doubt", "note")
     assert facts["comparison"]["metric"]["ridge_correlation"] > 0.99
     assert output.err == ""
-
-
-def test_bad_input_is_one_sentence_and_code_2(tmp_path: Path, capsys: Captured) -> None:
-    assert main(["reconstruct", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
-    output = capsys.readouterr()
-    assert output.out == ""
-    assert output.err.startswith("splitknit: error: ")
-    assert output.err.count("\n") == 1
-    assert "nowhere" in output.err
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -141,7 +123,7 @@ def test_failures_have_their_codes(  # noqa: PLR0917
 ) -> None:
     seen["raise"] = error
     out = capture_folder.parent / "deep" / "result"
-    assert main(["reconstruct", str(capture_folder), "--out", str(out)]) == code
+    assert main(f"reconstruct {capture_folder} --out {out}".split()) == code
     output = capsys.readouterr()
     assert words in output.err
     assert output.err.count("\n") == 1
@@ -169,41 +151,39 @@ def test_traceback_is_shown_on_request(
 ) -> None:
     seen["raise"] = RuntimeError("odd")
     out = capture_folder.parent / "result"
-    assert main(["reconstruct", str(capture_folder), "--out", str(out), "--traceback"]) == 1
+    assert main(f"reconstruct {capture_folder} --out {out} --traceback".split()) == 1
     assert "stand_in" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     "arguments",
     [
-        [],
-        ["dance"],
-        ["reconstruct"],
-        ["reconstruct", "x"],
-        ["reconstruct", "x", "--out", "y", "--preset", "best"],
-        ["simulate", "--out", "x", "--scale", "nan"],
-        ["simulate", "--out", "x", "--scale", "7"],
-        ["simulate", "--out", "x", "--set", "scale"],
-        ["simulate", "--out", "x", "--set", "scale=-1"],
-        ["simulate", "--out", "x", "--set", "no.such=1"],
-        ["simulate", "--out", "x", "--pattern", "paisley"],
-        ["simulate", "--out", "x", "--settings", "nowhere.toml"],
+        "",
+        "dance",
+        "reconstruct",
+        "reconstruct x",
+        "reconstruct x --out y --preset best",
+        "simulate --out x --scale nan",
+        "simulate --out x --scale 7",
+        "simulate --out x --set scale",
+        "simulate --out x --set scale=-1",
+        "simulate --out x --set no.such=1",
+        "simulate --out x --pattern paisley",
+        "simulate --out x --settings nowhere.toml",
     ],
 )
 def test_wrong_usage_is_code_2(
-    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+    arguments: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
+    assert main(arguments.split()) == 2
     assert "Traceback" not in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "arguments", [["--help"], ["--version"], ["demo", "--help"], ["simulate", "--help"]]
-)
-def test_help_is_code_0(arguments: list[str], capsys: Captured) -> None:
-    assert main(arguments) == 0
+@pytest.mark.parametrize("arguments", ["--help", "--version", "demo --help", "simulate --help"])
+def test_help_is_code_0(arguments: str, capsys: Captured) -> None:
+    assert main(arguments.split()) == 0
     assert "splitknit" in capsys.readouterr().out
 
 
@@ -259,9 +239,7 @@ sys.exit(main())
     ("which", "number"),
     [
         (1, signal.SIGTERM),
-        (30, signal.SIGINT),
-        (100, signal.SIGTERM),
-        (200, signal.SIGINT),
+        (100, signal.SIGINT),
         (300, signal.SIGTERM),
     ],
 )
@@ -470,7 +448,7 @@ def test_arguments_that_messages_name_are_fields_of_verbs() -> None:
 
 
 def test_an_error_names_the_option(tmp_path: Path, capsys: Captured) -> None:
-    words = ["identify", str(tmp_path / "people.skg"), str(tmp_path), "--top", "0"]
+    words = f"identify {tmp_path}/people.skg {tmp_path} --top 0".split()
     assert main(words) == 2
     assert capsys.readouterr().err == "splitknit: error: --top must be at least 1, but it is 0.\n"
     with pytest.raises(BadInput, match="`top` must be at least 1, but it is 0"):

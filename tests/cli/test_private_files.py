@@ -34,28 +34,12 @@ def test_verbs_write_private_files(
     umask = os.umask(0)
     try:
         for words in (
-            [
-                "reconstruct",
-                str(twin_folder),
-                "--preset",
-                "ea",
-                "--keep-steps",
-                "--out",
-                str(out / "result"),
-            ],
+            f"reconstruct {twin_folder} --preset ea --keep-steps --out {out}/result".split(),
             ["match", str(out / "result"), "--template", str(out / "templates" / "a.skt")],
             ["print", str(out / "result"), "--out", str(out / "print")],
-            [
-                "enroll",
-                str(out / "people.skg"),
-                str(out / "result"),
-                "--person",
-                "A",
-                "--finger",
-                "left_index",
-            ],
-            ["gallery", "export", str(out / "people.skg"), "--out", str(out / "exported")],
-            ["simulate", "--scale", "0.1", "--out", str(out / "capture")],
+            f"enroll {out}/people.skg {out}/result --person A --finger left_index".split(),
+            f"gallery export {out}/people.skg --out {out}/exported".split(),
+            f"simulate --scale 0.1 --out {out}/capture".split(),
         ):
             assert main([*words, *option]) == 0, capsys.readouterr().err
             assert os.environ.get(GROUP_READABLE, "") == before

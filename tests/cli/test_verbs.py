@@ -31,9 +31,9 @@ from splitknit.arguments import (
 from splitknit.cli.app import build_app, help_of
 from splitknit.cli.main import main
 from splitknit.errors import BadInput, require
-from splitknit.imaging.band import decode_table
 from splitknit.io.images import read_image
 from splitknit.io.results import read_result
+from splitknit.observation.stored import decode_table
 from splitknit.settings import Limits
 
 
@@ -172,7 +172,7 @@ def test_help_comes_from_signature_and_docstring(capsys: pytest.CaptureFixture[s
 def test_messages_name_options(
     words: str, sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["shine", "a", "--out", "b", *words.split()]) == 2
+    assert main([*["shine", "a", "--out", "b"], *words.split()]) == 2
     error = capsys.readouterr().err
     assert error.startswith("splitknit: error: ") and error.count("\n") == 1
     assert sentence in error
@@ -228,7 +228,7 @@ def test_the_table_and_the_functions_say_the_same() -> None:
 def test_steps_are_kept_where_a_preset_has_them(twin_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "result"
     options = ["--out", str(out), "--keep-steps"]
-    assert main(["reconstruct", str(twin_folder), "--preset", "snk", *options]) == 0
+    assert main([*f"reconstruct {twin_folder} --preset snk".split(), *options]) == 0
     report = json.loads((out / "report.json").read_text())
     steps = report["facts"]["steps"]
     assert set(steps) == {"chromaticity", "raw_mask", "enhanced", "direct", "global"}
@@ -243,10 +243,10 @@ def test_steps_are_kept_where_a_preset_has_them(twin_folder: Path, tmp_path: Pat
     sum_error = light["direct"] + light["global"] - light["enhanced"]
     assert np.abs(sum_error[light["direct"] > 0]).max() < 1e-3 * light["enhanced"].max()
     assert {file for step in steps.values() for file in step["files"]} <= set(report["files"])
-    assert main(["reconstruct", str(twin_folder), "--preset", "ea", *options]) == 0
+    assert main([*f"reconstruct {twin_folder} --preset ea".split(), *options]) == 0
     names = [file.name for file in (out / "steps").iterdir()]
     assert sorted(names) == ["chromaticity.png", "raw_mask.png"]
-    assert main(["reconstruct", str(twin_folder), "--preset", "ea", "--out", str(out)]) == 0
+    assert main(f"reconstruct {twin_folder} --preset ea --out {out}".split()) == 0
     assert not (out / "steps").exists()
 
 
@@ -273,7 +273,7 @@ def test_snk_takes_a_network_file_by_its_path(
     capsys.readouterr()
     for file, sentence in refused.items():
         options = ["--set", f"direct.network={file}", "--out", str(tmp_path / "refused")]
-        assert main(["reconstruct", str(twin_folder), "--preset", "snk", *options]) == 2
+        assert main([*f"reconstruct {twin_folder} --preset snk".split(), *options]) == 2
         printed = capsys.readouterr().err
         assert printed.startswith("splitknit: error: ") and printed.count("\n") == 1
         assert str(file) in printed and sentence in printed

@@ -15,7 +15,7 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_arrays
-from splitknit.model import Reconstruction
+from splitknit.reconstruction import Reconstruction
 from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, compare_results
 
 RADIUS_MM, PITCH = 8.0, 0.06

@@ -35,10 +35,7 @@ def focal_length(folder, name):
 def test_the_left_camera(folder, tmp_path, capsys):
     out = tmp_path / "rig.json"
     words = [
-        "calibrate",
-        "camera",
-        str(folder),
-        "--pattern",
+        *f"calibrate camera {folder} --pattern".split(),
         "left*.jpg",
         "--board",
         "9x6",
@@ -77,10 +74,7 @@ def test_part_of_a_board_is_not_the_board(folder):
 def test_the_right_camera_and_the_wrong_board(folder, tmp_path, capsys):
     out = tmp_path / "rig.json"
     words = [
-        "calibrate",
-        "camera",
-        str(folder),
-        "--pattern",
+        *f"calibrate camera {folder} --pattern".split(),
         "right*.jpg",
         "--square-mm",
         "25",

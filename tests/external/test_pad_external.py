@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, scripts_of
+from splitknit.capture import Band, Capture
 from splitknit.io.capture import read_capture
-from splitknit.model import Band, Camera, Capture, Led, Rig
-from splitknit.pad import judge, not_covered, pad_features, pad_images
+from splitknit.model import Camera, Led, Rig
 from splitknit.pipeline import reconstruct
 
+with scripts_of(VALIDATION / "pad") as script:
+    detector = script("detector")
+
+judge, not_covered = detector.judge, detector.not_covered
+pad_features, pad_images = detector.pad_features, detector.pad_images
 pytestmark = pytest.mark.external
 
 

@@ -62,9 +62,9 @@ NO_READERS = {
     "acceptance.photographs.read_photographs": (
         "reads what io.capture.read_capture and the target `radiometry` read"
     ),
-    "imaging.band.decode_table": "makes a table, reads nothing",
+    "observation.stored.decode_table": "makes a table, reads nothing",
     "importing.import_files": (
-        "reads what io.plain.capture_from_photographs and prints.from_file.read_print_file read"
+        "reads what observation.plain.capture_from_photographs and prints.from_file.read_print_file read"
     ),
     "light.skin.load_walks": "reads a table of the package",
     "prints.verbs.import_prints": "reads what prints.from_file.read_print_file reads",

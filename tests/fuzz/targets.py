@@ -32,6 +32,7 @@ from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, transaction, typ
 from handmade import finger
 from png_files import png_of
 from splitknit.accuracy import read_truth
+from splitknit.capture import Ambient, Band, Capture
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
 from splitknit.folders import read_photographs
@@ -39,10 +40,10 @@ from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.enrolment import open_enrolment
 from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_float_tiff
 from splitknit.io.light_list import read_intensities, read_light_list
+from splitknit.io.normal_maps import read_mask, read_normal_map
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import capture_from_photographs, read_flat
 from splitknit.io.prints import (
     PrintFile,
     encode_print_png,
@@ -53,18 +54,20 @@ from splitknit.io.prints import (
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
-from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
+from splitknit.model import Camera, Led, Rig
 from splitknit.networks.unet import load_network
+from splitknit.observation.patterns import read_light
+from splitknit.observation.plain import capture_from_photographs, read_flat
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
+from splitknit.reconstruction import Surface
 from splitknit.report.surface import scene_of
-from splitknit.separation.folder import read_light
 from splitknit.settings import override
 from splitknit_match.batch.cases import Case
 from splitknit_match.batch.features import failed_row
 from splitknit_match.batch.population import read_population
 from splitknit_match.batch.store import Store, open_store
-from splitknit_match.batch.surfaces import pack_surface, unpack_surface
+from splitknit_match.batch.surfaces import read_surface, write_surface
 from splitknit_match.batch.tables import read_origin, write_table
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.evaluation.scores import read_scores
@@ -292,6 +295,24 @@ def _photographs() -> list[Files]:
     return files
 
 
+def _normal_maps() -> list[Files]:
+    y, x = np.mgrid[0.7:-0.7:24j, -0.7:0.7:24j]
+    units = np.dstack([x, y, np.sqrt(1 - x**2 - y**2)]).astype(np.float32)
+    stored = np.rint(32767.5 * (units + 1)).astype(np.uint16)
+    mask = np.uint8(255) * (units[..., 2] > 0.5)
+    pngs = [cv2.imencode(".png", image)[1].tobytes() for image in (stored[..., ::-1], mask)]
+    maps = _written("map.npy", lambda path: np.save(path, units))
+    return [*maps, {"map.png": pngs[0]}, {"mask.png": pngs[1]}]
+
+
+def _normal_map(folder: Path, files: Files) -> None:
+    for name in files:
+        if name == "mask.png":
+            read_mask(folder / name, (24, 24))
+        else:
+            read_normal_map(folder / name)
+
+
 def _photograph(folder: Path, files: Files) -> None:
     for name in files:
         pixels = read_photo(folder / name).pixels
@@ -348,7 +369,7 @@ def _captures() -> list[Files]:
             ((k,), (k + 1,), (k + 2,)),
             np.full(3, 0.5),
             np.ones(3),
-            pixels[0] // 30,
+            Ambient(pixels[0] // 30, 0.5, 1.0),
         )
         for name, k in (("white", 0), ("nir", 3))
     }
@@ -408,12 +429,14 @@ def _plain_capture(folder: Path, files: Files) -> None:
 
 
 def _balls() -> list[Files]:
-    """Five photographs of a ball of 40 pixels."""
+    """Five photographs of a ball of 40 pixels, near enough sRGB."""
     y, x = np.mgrid[20:-20:-1, -20:20] / 17.0
     inside, z = x**2 + y**2 < 1, np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))
     lights = np.array([[0.5, 0, 1], [0.2, 0.5, 1], [-0.4, 0.3, 1], [-0.4, -0.3, 1], [0.2, -0.5, 1]])
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
-    shades = [np.clip(a * x + b * y + c * z, 0, 1) * inside * 240 for a, b, c in lights]
+    shades = [
+        255 * np.power(np.clip(a * x + b * y + c * z, 0, 1) * inside, 1 / 2.2) for a, b, c in lights
+    ]
     names = [f"{k}.jpg" for k in range(5)]
     pictures = [
         cv2.imencode(name[1:], np.rint(shade).astype(np.uint8))[1].tobytes()
@@ -541,8 +564,8 @@ def _packed_repaired(files: Files) -> Files:
     data = files.get("bytes")
     if not isinstance(data, bytes):
         return files
-    body = data[16:]
-    return {"bytes": data[:12].ljust(12, b"\0") + struct.pack("<I", zlib.crc32(body)) + body}
+    body = data[17:]
+    return {"bytes": data[:13].ljust(13, b"\0") + struct.pack("<I", zlib.crc32(body)) + body}
 
 
 def _record(folder: Path, files: Files) -> object:
@@ -719,11 +742,11 @@ def _enrolment(folder: Path) -> None:
     (folder / "population.json").write_text(json.dumps(facts))
 
 
-def _surface() -> bytes:
+def _surface(path: Path) -> None:
     arrays = _arrays()
     kinds = {"ridge_mm", "shape_mm", "normals", "mask", "input_from_upright", "upright_size"}
     parts = {name: arrays[name] for name in kinds}
-    return pack_surface(Surface(pitch_mm=0.25, **parts), arrays["height_mm"])
+    write_surface(path, Surface(pitch_mm=0.25, **parts), arrays["height_mm"])
 
 
 @cache
@@ -735,15 +758,11 @@ def _store() -> Files:
         store = out / "store"
         store.mkdir()
         open_store(store, there.sha256, *DOCUMENTS)
-        rows = []
         for number, capture in enumerate(there.captures):
-            filled = {
-                "acquired": True,
-                "template": waves(capture.finger, number),
-                "images": _surface(),
-            }
-            rows.append(failed_row(capture, "") | filled)
-        write_table(store / "features" / "ea" / "00000-x.npz", rows, {"kind": "features"})
+            filled = {"acquired": True, "template": waves(capture.finger, number)}
+            row, name = failed_row(capture, "") | filled, f"{capture.name}.npz"
+            write_table(store / "features" / "ea" / name, [row], {"kind": "features"})
+            _surface(store / "surfaces" / "ea" / name)
 
     return _folder(make)
 
@@ -931,6 +950,7 @@ TARGETS = (
         lambda: [{"rig.json": capture["rig.json"]} for capture in _captures()],
         _of_files("rig.json", read_rig),
     ),
+    Target("normal_map", _normal_maps, _normal_map),
     Target("npz", _results, _of_files("height.npz", read_npz)),
     Target(
         "result", lambda: [{**result, "report.json": _REPORT} for result in _results()], _result
@@ -972,7 +992,11 @@ TARGETS = (
     Target("identify", _galleries, _identified, _skt_repaired),
     Target("gallery_import", _exports, _imported, _skt_repaired),
     Target("batch", lambda: [_store()], _batch),
-    Target("batch_surface", lambda: _each("bytes", _surface()), _of_bytes(unpack_surface)),
+    Target(
+        "batch_surface",
+        lambda: _written("surface.npz", _surface),
+        _of_files("surface.npz", read_surface),
+    ),
     Target(
         "population", lambda: [_folder(_enrolment)], lambda folder, files: read_population(folder)
     ),

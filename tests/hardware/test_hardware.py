@@ -22,7 +22,7 @@ from hardware.sizes import read_dimensions
 from hardware.stages import GPIO_HIGH_V, GPIO_LIMIT_A, Stage, design_stage
 from splitknit.errors import BadInput
 from splitknit.io.rig import read_rig
-from splitknit.model import default_rig
+from splitknit.nominal import default_rig
 from splitknit_rig.calibration.phantom import HEIGHTS_UM
 from splitknit_rig.capture.pins import SECOND_PINS, pins_of, rig_films
 from splitknit_simulator.rigs import MirrorSettings, holder_profile, mirror_rig

@@ -72,15 +72,15 @@ def test_the_ruler_is_as_long_as_it_says(sheet):
 
 
 def test_a_folder_or_a_file_is_written(tmp_path, capsys):
-    assert main(["rig", "target", "--out", str(tmp_path / "target")]) == 0
+    assert main(f"rig target --out {tmp_path}/target".split()) == 0
     assert f"{tmp_path}/target/target.pdf: 16 checkerboards" in capsys.readouterr().out
     assert (tmp_path / "target" / "target.pdf").read_bytes() == target_pdf()
-    assert main(["rig", "target", "--out", str(tmp_path / "target")]) == 0  # again, in its place
-    assert main(["rig", "target", "--out", str(tmp_path / "sheet.PDF")]) == 0
+    assert main(f"rig target --out {tmp_path}/target".split()) == 0  # again, in its place
+    assert main(f"rig target --out {tmp_path}/sheet.PDF".split()) == 0
     assert (tmp_path / "sheet.PDF").read_bytes() == target_pdf()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("x")
-    assert main(["rig", "target", "--out", str(tmp_path / "mine")]) == 2
+    assert main(f"rig target --out {tmp_path}/mine".split()) == 2
     assert "not empty and is not an earlier sheet of targets" in capsys.readouterr().err
 
 

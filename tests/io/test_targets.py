@@ -10,7 +10,8 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import write_image
-from splitknit.io.targets import check_file, check_picture, check_target
+from splitknit.io.targets import check_file, check_target
+from splitknit_rig.calibration.written import check_picture
 
 WRITERS = (
     ["print", "RESULT"],
@@ -123,7 +124,7 @@ def test_an_earlier_file_of_the_same_kind_is_replaced(
 ) -> None:
     sheet, rig = tmp_path / "sheet.pdf", tmp_path / "rig.json"
     for _ in range(2):
-        assert main(["rig", "target", "--out", str(sheet)]) == 0
+        assert main(f"rig target --out {sheet}".split()) == 0
         assert main(["calibrate", "lights", "--geometry", *CAMERA, "--out", str(rig)]) == 0
     check_file(tmp_path / "new", "a template", lambda data: False)
     (tmp_path / "empty").touch()

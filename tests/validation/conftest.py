@@ -1,5 +1,5 @@
-"""The scripts of validation/accuracy are not a package: import them by their folder, and forget
-them afterwards."""
+"""The scripts under validation are not packages: import them by their folder, and forget them
+afterwards."""
 
 from __future__ import annotations
 
@@ -17,4 +17,11 @@ ACCURACY = Path(__file__).resolve().parents[2] / "validation" / "accuracy"
 def accuracy() -> Iterator[Script]:
     """Import a script of validation/accuracy by its name."""
     with scripts_of(ACCURACY) as named:
+        yield named
+
+
+@pytest.fixture(scope="module")
+def script(request: pytest.FixtureRequest) -> Iterator[Script]:
+    """Import a script of the module's `FOLDER` by its name."""
+    with scripts_of(request.module.FOLDER) as named:
         yield named

@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from script_folder import Script, scripts_of
-from splitknit.imaging.band import linear_channels, linear_stack
+from script_folder import Script
+from splitknit.observation.observe import observe
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "separation"
-
-
-@pytest.fixture(scope="module")
-def script() -> Iterator[Script]:
-    """Import a script of validation/separation by its name."""
-    with scripts_of(FOLDER) as named:
-        yield named
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +44,7 @@ def test_true_parts_of_the_light(script: Script, twin: Any) -> None:
     np.testing.assert_allclose(direct - matt, 1 - rest, atol=1e-5)
     assert 0.1 < direct.mean() < 0.6
     # the fraction of the glare, times the photograph, is the glare of the photograph
-    light = linear_stack(twin.capture.bands["white"], "linear", "grey")[:, mask]
+    light = observe(twin.capture).white.grey[:, mask]
     glare = twin.truth["glare_white"].astype(np.float32)[:, mask]
     assert np.sum((1 - rest) * light) == pytest.approx(glare.sum(), rel=0.03)
     assert np.corrcoef(((1 - rest) * light).ravel(), glare.ravel())[0, 1] > 0.99
@@ -60,18 +52,16 @@ def test_true_parts_of_the_light(script: Script, twin: Any) -> None:
 
 def test_changed_captures(script: Script, twin: Any) -> None:
     light = script("ablation_light")
-    capture, names = twin.capture, ("red", "green", "blue")
+    capture = twin.capture
     glare = twin.truth["glare_white"].astype(np.float32)
     without = light.without_glare(capture, "white", glare)
-    wanted = linear_channels(capture.bands["white"], "linear", names) - glare
-    np.testing.assert_allclose(
-        linear_channels(without.bands["white"], "linear", names), wanted, atol=2e-5
-    )
+    wanted = observe(capture).white.stack - glare
+    np.testing.assert_allclose(observe(without).white.stack, wanted, atol=2e-5)
     assert without.bands["nir"] is capture.bands["nir"]
-    grey = light.in_grey(capture).bands["white"]
-    assert grey.pixels.shape[-1] == 1
-    wanted = linear_stack(capture.bands["white"], "linear", "grey")
-    np.testing.assert_allclose(linear_stack(grey, "linear", "grey"), wanted, atol=2e-5)
+    grey = observe(light.in_grey(capture)).white
+    assert not grey.has_colour
+    wanted = observe(capture).white.grey
+    np.testing.assert_allclose(grey.grey, wanted, atol=2e-5)
 
 
 def test_the_twin_takes_the_networks_place(
@@ -168,3 +158,20 @@ def test_contrast_is_shown_with_intervals_over_fingers(script: Script) -> None:
     assert "| *one instead of the other* | +0.500 [+0.500, +0.500] |" in text
     assert "\none,0.600,0.500,0.700," in report.contrast_csv(results)
     assert "\none instead of the other,+0.500,+0.500,+0.500," in report.contrast_csv(results)
+
+
+def test_the_error_after_the_best_factor_is_that_of_amplified_ridges(script: Script) -> None:
+    rng = np.random.default_rng(1)
+    true = rng.standard_normal(4000)
+    estimated = 0.2 * true + 0.1 * rng.standard_normal(4000)
+    errors = []
+    for factor in (1.0, 1.7):
+        ridges = factor * estimated
+        row = {
+            "ridge_gain": float(ridges @ true / (true @ true)),
+            "ridge_correlation": float(ridges @ true / np.sqrt((ridges @ ridges) * (true @ true))),
+            "ridge_rms_um": float(np.sqrt(np.mean((ridges - true) ** 2))),
+        }
+        errors.append(script("ablation_report").best_factor_um(row))
+    best = (estimated @ true) / (estimated @ estimated) * estimated
+    assert errors == pytest.approx([float(np.sqrt(np.mean((best - true) ** 2)))] * 2)

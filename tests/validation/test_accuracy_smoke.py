@@ -29,7 +29,7 @@ def run(out: Path, *arguments: str) -> dict:
         "--workers",
         "1",
     ]
-    command += ["--out", str(out / "results.json"), "--scratch", str(out / "scratch"), *arguments]
+    command += [*f"--out {out}/results.json --scratch {out}/scratch".split(), *arguments]
     done = subprocess.run(
         command,
         capture_output=True,

@@ -4,23 +4,15 @@ from end to end."""
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from script_folder import Script, scripts_of
+from script_folder import Script
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "prints"
-
-
-@pytest.fixture(scope="module")
-def script() -> Iterator[Script]:
-    """Import a script of validation/prints by its name."""
-    with scripts_of(FOLDER) as named:
-        yield named
 
 
 def test_pairs_are_as_many_and_as_near_as_can_be(script: Script) -> None:

@@ -55,7 +55,7 @@ def test_a_screen_shines_with_the_lights_off_but_not_in_near_infrared(presented)
     capture, truth = presented["screen"]
     inside = truth["mask"]
     white, nir = (
-        capture.bands[name].ambient[inside].astype(float).mean() for name in ("white", "nir")
+        capture.bands[name].ambient.pixels[inside].astype(float).mean() for name in ("white", "nir")
     )
     assert white > 20.0 and nir < 0.2 * white
 

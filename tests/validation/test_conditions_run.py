@@ -10,13 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from script_folder import VALIDATION, Script, scripts_of
+from script_folder import VALIDATION, Script
 
-
-@pytest.fixture(scope="module")
-def script():
-    with scripts_of(VALIDATION / "conditions") as script:
-        yield script
+FOLDER = VALIDATION / "conditions"
 
 
 def _row(seed: int, kind: str, severity: float, correlation: float, **more: object) -> dict:
@@ -122,17 +118,7 @@ def test_the_committed_results_are_of_six_fingers() -> None:
 @pytest.mark.slow
 def test_a_small_run_goes_on_where_it_stopped(script: Script, tmp_path: Path, monkeypatch) -> None:
     run = script("run")
-    command = [
-        "run.py",
-        str(tmp_path),
-        "--seeds",
-        "5",
-        "--presets",
-        "ea-split",
-        "--scale",
-        "0.12",
-        "--most",
-    ]
+    command = f"run.py {tmp_path} --seeds 5 --presets ea-split --scale 0.12 --most".split()
     for most in ("1", "2"):
         monkeypatch.setattr(sys, "argv", [*command, most])
         run.main()

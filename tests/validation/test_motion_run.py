@@ -6,13 +6,9 @@ import json
 
 import pytest
 
-from script_folder import VALIDATION, Script, scripts_of
+from script_folder import VALIDATION, Script
 
-
-@pytest.fixture(scope="module")
-def script():
-    with scripts_of(VALIDATION / "motion") as script:
-        yield script
+FOLDER = VALIDATION / "motion"
 
 
 def _moved(seed: int, amplitude: float, corrected: float) -> dict:
@@ -61,7 +57,7 @@ def test_the_committed_results_are_whole():
 def test_a_finger_is_measured_and_not_twice(script: Script, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(script("measure"), "capture_folder", _smaller(script, tmp_path))
     file = tmp_path / "results.json"
-    command = ["--seeds", "3", "--amplitudes", "0.5", "--scale", "0.35", "--out", str(file)]
+    command = f"--seeds 3 --amplitudes 0.5 --scale 0.35 --out {file}".split()
     script("run").main(command)
     results = json.loads(file.read_text())
     (row,) = results["moved"]

@@ -10,7 +10,7 @@ import pytest
 import splitknit
 import splitknit_simulator
 from script_folder import VALIDATION, scripts_of
-from splitknit.model import Capture
+from splitknit.capture import Capture
 
 
 @pytest.mark.slow

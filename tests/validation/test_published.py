@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from script_folder import VALIDATION, Script, scripts_of
+from script_folder import VALIDATION, Script
 from spiral_prints import spiral_print
-from splitknit.model import Surface
+from splitknit.reconstruction import Surface
 from splitknit_match.prints.minutiae_record import Minutiae
 
-
-@pytest.fixture(scope="module")
-def script() -> Iterator[Script]:
-    with scripts_of(VALIDATION / "published") as named:
-        yield named
+FOLDER = VALIDATION / "published"
 
 
 def skin(seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -12,19 +12,17 @@ import cv2
 import numpy as np
 import pytest
 
-from script_folder import VALIDATION, Script, scripts_of
+from script_folder import VALIDATION, Script
 from splitknit import preset_settings, read_capture, reconstruct, write_capture
-from splitknit.model import Band, Camera, Capture, Led, Rig
+from splitknit.capture import Band, Capture
+from splitknit.model import Camera, Led, Rig
 from splitknit.skin.grid import Grid
 from splitknit_simulator import simulate_capture
 
 TABLES = VALIDATION / "real_skin" / "tables"
 
 
-@pytest.fixture(scope="module")
-def script():
-    with scripts_of(VALIDATION / "real_skin") as script:
-        yield script
+FOLDER = VALIDATION / "real_skin"
 
 
 def matt_bump() -> Capture:
@@ -86,15 +84,7 @@ def test_a_simulated_finger(
     script: Script, twin_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "results.json"
-    command = [
-        str(twin_folder),
-        "--surface",
-        str(twin_folder),
-        "--set",
-        "metric.rounds=1",
-        "--out",
-        str(out),
-    ]
+    command = f"{twin_folder} --surface {twin_folder} --set metric.rounds=1 --out {out}".split()
     assert script("run").main(command) == 0
     rows = json.loads(out.read_text())["capture"]
     assert [(row["band"], row["image"]) for row in rows] == [
@@ -182,26 +172,3 @@ def test_the_optics_pass_or_are_explained(script: Script) -> None:
     checks = optics.checks()
     assert all(check.passed or check.why for check in checks)
     assert optics.table(checks) == stored("optics.csv"), "run validation/real_skin/optics.py"
-
-
-def test_ridges_have_their_contrast_and_noise_has_none(script: Script) -> None:
-    rng = np.random.default_rng(4)
-    film, wave = script("film"), np.cos(2 * np.pi * np.arange(160) / 6.3)
-    guide = 0.3 * (1 + 0.05 * np.broadcast_to(wave, (160, 160)))
-    noise = rng.normal(0.3, 0.006, (160, 160))
-    image = np.stack([guide, 0.6 * (1 - 0.02 * wave) + 0 * guide, noise], axis=2)
-    patches = film.measured(image, guide, np.ones((160, 160), dtype=bool))
-    np.testing.assert_allclose(patches.amplitudes(), [0.05, -0.02, 0.0], atol=0.001)
-    assert len(patches.guide) == 25 and abs(patches.alone()[2]) < 0.003
-    assert np.median(patches.period_px) == pytest.approx(6.3, abs=0.3)
-
-
-def test_the_film_s_chain_takes_the_colour_of_ridges(script: Script) -> None:
-    film, wave = script("film"), np.cos(2 * np.pi * np.arange(160) / 6.3)
-    light = np.stack([0.5 + 0 * wave, 0.3 + 0.02 * wave, 0.3 + 0.03 * wave], axis=1)
-    light = np.broadcast_to(light, (160, 160, 3))
-    inside = np.ones((160, 160), dtype=bool)
-    seen = film.through_film(light, inside, code=False, blur=0.0, quality=75)
-    red, green = film.measured(seen, seen @ film.LUMA, inside).amplitudes()[:2]
-    # ridges as strong as the luma's, though red has none
-    assert red / green == pytest.approx(film.CODED_GREEN / film.CODED_CLIP, rel=0.1)

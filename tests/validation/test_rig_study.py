@@ -8,15 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from script_folder import VALIDATION, scripts_of
-from splitknit.model import Reconstruction
+from script_folder import VALIDATION
+from splitknit.reconstruction import Reconstruction
 
-
-@pytest.fixture(scope="module")
-def script():
-    """Imports a script of validation/thesis."""
-    with scripts_of(VALIDATION / "thesis") as imported:
-        yield imported
+FOLDER = VALIDATION / "thesis"
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +59,8 @@ def test_a_perfect_surface_is_as_near_as_the_points_are_dense_and_a_bent_one_off
 ):
     surface, mask = seen
 
+    x_mm, y_mm = (axis.astype(np.float32) for axis in surface.sight().at(surface.height_mm)[:2])
+
     def compared(height):
         result = Reconstruction(
             height_mm=np.where(mask, height, np.nan).astype(np.float32),
@@ -78,8 +75,8 @@ def test_a_perfect_surface_is_as_near_as_the_points_are_dense_and_a_bent_one_off
             input_from_upright=np.eye(3),
             upright_size=mask.shape,
             preset="ea",
-            x_mm=surface.x_mm,
-            y_mm=surface.y_mm,
+            x_mm=x_mm,
+            y_mm=y_mm,
         )
         return study.compare_surfaces(result, surface, mask, study.FIRST_SEED, 10.0)
 
@@ -90,10 +87,7 @@ def test_a_perfect_surface_is_as_near_as_the_points_are_dense_and_a_bent_one_off
         and perfect["hausdorff_mm"] < 0.3
     )
     assert perfect["normals_deg"] < 0.1 and perfect["ridge_correlation"] == pytest.approx(1.0)
-    assert (
-        compared(surface.height_mm + np.where(mask, 0.04 * surface.x_mm**2, 0.0))["hausdorff_mm"]
-        > 0.5
-    )
+    assert compared(surface.height_mm + np.where(mask, 0.04 * x_mm**2, 0.0))["hausdorff_mm"] > 0.5
 
 
 def test_more_power_is_a_shorter_exposure(shot):
@@ -135,17 +129,7 @@ def test_tremor_is_the_mean_of_the_variance_over_random_phases(study):
 @pytest.mark.slow
 def test_a_sweep_goes_on_where_it_was_and_is_compared(script, tmp_path, capsys):
     sweep = script("rigs")
-    words = [
-        "--heights",
-        "140",
-        "--radii",
-        "12",
-        "52.5",
-        "--fingers",
-        "1",
-        "--scratch",
-        str(tmp_path),
-    ]
+    words = f"--heights 140 --radii 12 52.5 --fingers 1 --scratch {tmp_path}".split()
     assert sweep.main(words) == 0
     first = capsys.readouterr().out
     assert "52.5     1" in first and "h140_r12_" in first

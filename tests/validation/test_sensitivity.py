@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass
 
 import pytest
 
-from script_folder import VALIDATION, Script, scripts_of
-from splitknit.finger import parameters, regions, ridges
+from script_folder import VALIDATION, Script
+from splitknit.finger import regions, ridges
 
-
-@pytest.fixture(scope="module")
-def script():
-    with scripts_of(VALIDATION / "parameters") as script:
-        yield script
+FOLDER = VALIDATION / "parameters"
 
 
 def _rows(**results: str) -> dict[float, dict[str, str]]:
@@ -31,11 +28,11 @@ def test_a_constant_has_its_value_back(script: Script):
     sensitivity = script("sensitivity")
     (steepness,) = (
         constant
-        for constant in sensitivity.constants_of(sensitivity.DEFAULT[0])
+        for constant in sensitivity.constants_of("finger")
         if constant.name == "INK_STEEPNESS"
     )
     with sensitivity.holding(steepness, 5.0):
-        assert (parameters.INK_STEEPNESS, ridges.INK_STEEPNESS) == (5.0, 5.0)
+        assert ridges.INK_STEEPNESS == 5.0
         assert not hasattr(regions, "INK_STEEPNESS")
     assert steepness.value == ridges.INK_STEEPNESS
 
@@ -44,13 +41,24 @@ def test_defaults_of_functions_change_too_and_come_back(script: Script):
     from splitknit.separation import binary, stacks
 
     sensitivity = script("sensitivity")
-    constants = {c.name: c for c in sensitivity.constants_of(sensitivity.DEFAULT[3])}
+    constants = {c.name: c for c in sensitivity.constants_of("separation")}
     before = binary.checkerboard.__kwdefaults__["clip_level"]
     with sensitivity.holding(constants["CLIP_LEVEL"], 0.5):
         assert binary.checkerboard.__kwdefaults__["clip_level"] == 0.5
         assert stacks.light_stack.__defaults__[-1] == 0.5
     assert binary.checkerboard.__kwdefaults__["clip_level"] == before
     assert stacks.light_stack.__defaults__[-1] == before
+
+
+def test_a_field_of_thresholds_changes_and_comes_back(script: Script):
+    @dataclass(frozen=True, slots=True)
+    class BallThresholds:
+        radius_px: float = 8.5
+
+    sensitivity, ball = script("sensitivity"), BallThresholds()
+    with sensitivity.holding(sensitivity.Constant("", "radius_px", 8.5, ball), 17.0):
+        assert ball.radius_px == 17.0
+    assert ball.radius_px == 8.5
 
 
 def test_a_change_counts_beyond_a_twentieth_of_a_figure_or_its_floor(script: Script):
@@ -69,18 +77,18 @@ def test_a_constant_is_measured_once(script: Script, tmp_path, capsys):
     sensitivity = script("sensitivity")
     out = tmp_path / "rows.csv"
     rows = [
-        {"package": "separation", "constant": c.name, "factor": f"{factor:g}", "result": "same"}
-        for c in sensitivity.constants_of(sensitivity.DEFAULT[3])
+        {"package": c.package, "constant": c.name, "factor": f"{factor:g}", "result": "same"}
+        for c in sensitivity.constants_of("separation")
         for factor in sensitivity.OUTER
-        if c.name != "STATE_EDGE"
+        if c.name.lstrip("_") != "STATE_EDGE"
     ]
     with out.open("w", newline="") as file:
         writer = csv.DictWriter(file, sensitivity.COLUMNS)
         writer.writeheader()
         writer.writerows(rows)
-    arguments = [str(sensitivity.DEFAULT[3]), "--out", str(out)]
+    arguments = ["separation", "--out", str(out)]
     sensitivity.main(arguments)
-    assert "- separation STATE_EDGE = 0.1: direct_error_states" in capsys.readouterr().out
+    assert "STATE_EDGE = 0.1: direct_error_states" in capsys.readouterr().out
     written = out.read_bytes()
     sensitivity.main(arguments)
     assert out.read_bytes() == written

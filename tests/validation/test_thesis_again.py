@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from script_folder import Script, scripts_of
+from splitknit.io.enrolment import open_enrolment
 from splitknit_simulator.twin import lay_down, twin_settings
 
 THESIS = Path(__file__).resolve().parents[2] / "validation" / "thesis"
@@ -45,12 +47,12 @@ def test_figures_with_commands_of_their_own_and_every_claim_stand_on_the_page(
     reproduce("--out", tmp_path, "--figures", "3.17,4.1")
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert "python validation/separation/checkerboard.py" in page
-    assert "14 cm and 5.25 cm are optimal" in page and "Figure 5.4" not in page
+    assert "14 and 5.25 cm are the best rig" in page and "Figure 5.4" not in page
     figures, known = (
         thesis("reproduce").chosen_figures(None),
         thesis("report").read(THESIS / "tables" / "claims.csv"),
     )
-    numbers = {row["number"].rstrip("abcde") for row in known}
+    numbers = {row["number"].rstrip("abcdef") for row in known}
     assert {claim for figure in figures for claim in figure.claims} <= numbers
     with pytest.raises(SystemExit, match=r"no figure 9\.9"):
         thesis("reproduce").chosen_figures("9.9")
@@ -131,3 +133,17 @@ def test_frankot_chellappa_with_mirrored_borders_is_poisson_on_the_rectangle(
     assert errors[paired.ZEROS] > errors[paired.MASK]
     summed = paired.row(f"{paired.NIR} - {paired.WHITE}", [-20.0, -30.0, -25.0], "+")
     assert summed["mean"] == "-25.0 [-37.4, -12.6]" and summed["negative"] == 3
+
+
+def test_a_smaller_run_plans_anew_and_committed_tables_stand_on_the_page(
+    tmp_path: Path, thesis: Script
+) -> None:
+    again = thesis("reproduce")
+    plan = {"format": "splitknit-enrolment", "version": 1, "subjects": 17, "sessions": 4}
+    (tmp_path / "enrolment.json").write_text(json.dumps(plan | {"fingers": ["right_index"]}))
+    again.plan_anew(tmp_path, again.Size(3, 4, "right_index"))
+    assert open_enrolment(tmp_path, subjects=3).plan.subjects == 3
+    again.plan_anew(tmp_path / "nothing", again.ONE_FINGER)
+    figures = again.chosen_figures("1.3,3.8,3.17,3.21,3.26,4.1,5.1,5.7")
+    page = again.page_of(tmp_path, figures, again.ONE_FINGER)
+    assert page.count("<p>validation/") == len(figures) + 1 and "Laser line" in page

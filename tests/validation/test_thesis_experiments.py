@@ -126,17 +126,7 @@ def test_all_parts_on_a_made_up_store(
         assert run.main([*command, "--cases", "snk", "pr", "ea", "none"]) == 0
     monkeypatch.setattr(run, "PARTS", parts)
     monkeypatch.setattr(run, "run_part", lambda *_: pytest.fail("a finished part is made again"))
-    command = [
-        "all",
-        "--population",
-        str(people),
-        "--out",
-        str(out),
-        "--replicates",
-        "20",
-        "--jobs",
-        "1",
-    ]
+    command = f"all --population {people} --out {out} --replicates 20 --jobs 1".split()
     assert run.main([*command, "--cases", "snk", "pr", "ea", "none"]) == 0
     (out / "failures.csv").unlink()
     with pytest.raises(pytest.fail.Exception, match="made again"):
@@ -199,7 +189,7 @@ def test_all_parts_on_a_made_up_store(
     }
     thesis("report").write(out, out / "page.md")
     filled = (out / "page.md").read_text()
-    assert "| 5.4 | normals, SnK | 1 % | 92 |" in filled and "too few impostors (270)" in filled
+    assert "|5.4|normals, SnK|1 %|92|" in filled and "too few impostors (270)" in filled
     first, *cases = (out / "tables" / "ridge_margin.csv").read_text().splitlines()
     assert first.startswith("case,least genuine") and [row.split(",")[0] for row in cases] == [
         "snk",
@@ -279,8 +269,8 @@ def test_a_finger_is_discarded_by_its_largest_difference(thesis: Script) -> None
 
 @pytest.mark.slow
 def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
-    from splitknit.model import surface_of
     from splitknit.pipeline import reconstruct
+    from splitknit.reconstruction import surface_of
     from splitknit_match.matching.surface import surface_images
     from splitknit_simulator.scene import TwinSettings
     from splitknit_simulator.twin import simulate_capture

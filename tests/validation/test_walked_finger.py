@@ -16,8 +16,8 @@ from script_folder import VALIDATION
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
 from splitknit_simulator.light.films import FilmSettings
-from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 from splitknit_simulator.light.skin import (
+    REFRACTIVE_INDEX,
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
