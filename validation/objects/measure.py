@@ -1,15 +1,13 @@
 """Rendered objects under anybody's lights: what is noticed, and how accurate the surface is.
 
-    python validation/objects/measure.py [lights] [faults] [sound] [brightness] [gloss] [unknown]
+    python validation/objects/measure.py [lights] [faults] [sound] [brightness] [gloss]
 
-Each writes tables/NAME.json; `unknown` takes the bear of DiLiGenT too, where the data lie
-($SPLITKNIT_DATA). Objects are those of render.py, with seeds that nothing was tuned on.
+Each writes tables/NAME.json. Objects are those of render.py, with seeds that nothing was tuned on.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -162,76 +160,12 @@ def gloss() -> dict[str, object]:
     return rows
 
 
-def unknown() -> dict[str, object]:
-    """Lights that nobody listed: normals and heights beside those with the list, and how often the
-    stated deviation covers the error. Of a hollow, which comes out as a hill, the turned surface
-    counts.
-    """
-    rows: dict[str, list[float]] = {
-        "listed_deg": [],
-        "unknown_deg": [],
-        "lights_deg": [],
-        "um_over_stated": [],
-    }
-    refused, turned, covered = [], [], []
-    for seed in range(FIRST_SEED, FIRST_SEED + 30):
-        target = rendered(seed)
-        try:
-            result = splitknit.reconstruct_images(target.images, None, target.mask, PX_PER_MM)
-        except BadInput:
-            refused.append(seed)
-            continue
-        directions = np.array(result.facts["light_directions"])
-        hill, hollow = (
-            angle(directions * sign, target.lights) for sign in ([1, 1, 1], [-1, -1, 1])
-        )
-        sign = 1 if hill < hollow else -1
-        turned += [seed] if sign < 0 else []
-        inside = result.mask & target.mask & np.isfinite(result.height_mm)
-        error = 1000 * (sign * result.height_mm - target.height_mm)[inside]
-        error, stated = error - error.mean(), result.uncertainty_um[inside]
-        covered.append(float(np.mean(np.abs(error) < 2 * stated)) > 0.95)
-        rows["listed_deg"].append(errors(target)[0])
-        rows["unknown_deg"].append(
-            angle(result.normals_measured[inside] * [sign, sign, 1], target.normals[inside])
-        )
-        rows["lights_deg"].append(min(hill, hollow))
-        rows["um_over_stated"].append(float(np.std(error) / np.sqrt(np.mean(stated**2))))
-    facts = {
-        "sets": 30,
-        "refused": refused,
-        "hollows_as_hills": turned,
-        "covered_by_two_deviations": sum(covered),
-    }
-    return {**facts, **{name: spread(values) for name, values in rows.items()}, **bear()}
-
-
-def bear() -> dict[str, object]:
-    """The bear's normals with DiLiGenT's directions, and without."""
-    file = Path(os.environ.get("SPLITKNIT_DATA", "../shared/data")) / "diligent" / "bear.npz"
-    if not file.is_file():
-        return {}
-    data = np.load(file)
-    rows = {}
-    for name, lights in (("listed", data["lights"]), ("unknown", None)):
-        result = splitknit.reconstruct_images(data["images"], lights, data["mask"])
-        inside = result.mask & data["mask"]
-        rows[name] = round(angle(result.normals_measured[inside], data["normals"][inside]), 2)
-    return {"bear_deg": rows}
-
-
-def angle(estimated: np.ndarray, true: np.ndarray) -> float:
-    """Mean angle in degrees between unit vectors (..., 3)."""
-    return float(np.degrees(np.arccos(np.clip((estimated * true).sum(axis=-1), -1, 1))).mean())
-
-
 PARTS: dict[str, Callable[[], dict[str, object]]] = {
     "lights": by_lights,
     "faults": faults,
     "sound": sound,
     "brightness": brightness,
     "gloss": gloss,
-    "unknown": unknown,
 }
 
 if __name__ == "__main__":

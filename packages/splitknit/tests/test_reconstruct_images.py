@@ -85,6 +85,7 @@ def test_grey_images_stored_as_colour_take_lights_of_any_colour(bright, sound):
         ({"images": np.linspace(-0.2, 1.0, 80_000).reshape(8, 100, 100)}, "negative"),
         ({"lights": np.ones((3, 3))}, "differ in number"),
         ({"lights": "no lights"}, "numbers"),
+        ({"lights": None}, "lights must have the shape"),
         ({"mask": np.ones((4, 4), dtype=bool)}, "mask must have the shape"),
         ({"px_per_mm": -1.0}, "px_per_mm"),
         ({"intensities": np.zeros(8)}, "positive"),

@@ -70,7 +70,7 @@ def read_photographs(
     images : path
         Folder of photographs, or a pattern of their names.
     lights : path, directions (L, 3) or Rig, optional
-        By default ``lights.txt`` beside the images; ``unknown``: they are estimated.
+        By default ``lights.txt`` beside the images.
     px_per_mm : float, optional
         Scale on the object; without it heights are in pixels.
     light_frame, ridge_period_mm, mask, material, tip_direction_deg, encoding : optional
@@ -106,13 +106,11 @@ def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
     """Photographs as a capture, and what was assumed of them. Raises BadInput as
     :func:`read_photographs`."""
     from splitknit.observation.plain import capture_from_photographs
-    from splitknit.photometric.uncalibrated import with_estimated_lights
 
     images = photographs.images
     assert images is not None
     read = capture_from_photographs(photographs)
-    capture = naming(images, lambda: with_estimated_lights(read.capture))
-    capture, notes = _with_frame_and_scale(capture, images, photographs, None)
+    capture, notes = _with_frame_and_scale(read.capture, images, photographs, None)
     known = capture.rig.camera.scale_known
     kept = [finding for finding in read.notes if finding.code != "scale-unknown" or not known]
     return capture, [*kept, *notes]

@@ -25,7 +25,6 @@ from splitknit.methods.photographs import (
 )
 from splitknit.methods.scale import with_scale, with_working_scale
 from splitknit.model import FloatArray
-from splitknit.photometric.uncalibrated import with_estimated_lights
 from splitknit.plausible import TOP
 from splitknit.presets import PipelineSettings, chosen_settings
 from splitknit.reconstruction import UNKNOWN_SCALE, Reconstruction
@@ -151,7 +150,7 @@ def _photographs(
 
 def reconstruct_images(
     images: Any,
-    lights: Any = None,
+    lights: Any,
     mask: Any = None,
     px_per_mm: float | None = None,
     intensities: Any = None,
@@ -162,9 +161,8 @@ def reconstruct_images(
     ----------
     images : (L, H, W) or (L, H, W, 3) of uint8, uint16 or floats
         Grey, or red, green and blue; linear light, or sRGB where images of 8 bits are shaded so.
-    lights : (L, 3), optional
-        Directions towards the lights, x right, y up, z to the camera; estimated by default, from
-        six images or more.
+    lights : (L, 3)
+        Directions towards the lights, x right, y up, z to the camera.
     mask : (H, W) bool, optional
         The object; it is looked for by default.
     px_per_mm : float, optional
@@ -198,7 +196,7 @@ def reconstruct_images(
     from splitknit.observation.plain import capture_of_arrays  # large, and needed here alone
 
     capture, notes = capture_of_arrays(images, lights, mask, px_per_mm, intensities)
-    result = reconstruct(with_estimated_lights(capture))
+    result = reconstruct(capture)
     return replace(result, findings=worst_first((*notes, *result.findings)))
 
 

@@ -178,23 +178,6 @@ class TestOpaque:
         both = with_nir(dome("metric"), 2)
         assert metric.opaque_surface(both, METRIC).facts["shape_source"] == "nir"
 
-    def test_estimated_lights_are_stated_with_what_they_leave_open(self, monkeypatch):
-        monkeypatch.setattr(metric, "bas_relief_of", lambda rig: 0.25)
-        asked = []
-        monkeypatch.setattr(
-            metric, "bas_relief_um", lambda *arguments: asked.append(arguments) or arguments[0]
-        )
-        photographs = dome("metric")
-        surface = metric.opaque_surface(photographs, METRIC)
-        lights = photographs.white_and_nir(METRIC, 0.0)[0].rig.light_vectors()
-        assert surface.facts["lights"] == "estimated"
-        assert surface.facts["bas_relief"] == 0.25
-        assert surface.facts["light_directions"] == np.round(lights, 3).tolist()
-        height_mm, inside, pitch_mm, unsure = asked[0]
-        assert height_mm is surface.height_mm
-        assert (inside.shape, pitch_mm, unsure) == (height_mm.shape, 0.1, 0.25)
-        assert surface.uncertainty_um is height_mm
-
 
 class TestNearSlopes:
     def test_distant_lights_need_one_round(self, monkeypatch):

@@ -73,12 +73,6 @@ class TestFindings:
         found = replace(photographs, findings=findings)
         return [finding.code for finding in findings_for(found, settings)]
 
-    def test_estimated_lights_stand_before_all(self, photographs, monkeypatch):
-        monkeypatch.setattr(module, "bas_relief_of", lambda rig: 0.3)
-        monkeypatch.setattr(module, "bas_relief_note", lambda unsure: f"a factor of {unsure}.")
-        findings = (Finding("hollow", "a note."),)
-        assert self.codes(photographs, EA, *findings) == ["bas-relief", "hollow"]
-
     def test_the_worst_stands_first(self, photographs):
         findings = (
             Finding("hollow", "a note."),

@@ -186,6 +186,12 @@ def test_ambiguous_commas_are_refused(tmp_path):
         read_light_list(tmp_path / "l.txt")
 
 
+def test_photographs_without_a_list_are_refused_with_what_to_give(unmasked):
+    words = "give `lights`, a list of directions or places, or a rig file: a ball in the pictures"
+    with pytest.raises(BadInput, match=words):
+        import_photographs(unmasked)
+
+
 def test_lp_files_find_photographs_by_their_names_alone(unmasked):
     """Their paths are of another machine, with spaces and other capitals."""
     names = ("C:\\Scans\\coin 7\\3.PNG", "/home/a user/coin/0.png", "jpeg-exports/1.jpg", "2.png")

@@ -24,7 +24,6 @@ from splitknit.photometric.forward import (
     hypotheses,
     matt_misfit,
 )
-from splitknit.photometric.uncalibrated import bas_relief_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +82,7 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
     lights, in each colour, where nobody stated it and it is clearly unequal; facts and findings. A
     doubt instead where it was stated otherwise, or where no hypothesis explains the photographs.
     """
-    free = not band.flattened and bas_relief_of(band.built) is None
-    if not free or len(band.lights) <= LEAST_PHOTOGRAPHS:
+    if band.flattened or len(band.lights) <= LEAST_PHOTOGRAPHS:
         return band, {}, []
     rig = band.rig
     (grey, *colours), lights = sampled(band, finger)
@@ -185,8 +183,7 @@ def _of_colours(grey: FloatArray, colours: list[FloatArray]) -> Array:
 def findings_on_encoding(observation: Observation, finger: Finger) -> list[Finding]:
     """What spoils the surface where the object is matt under the other encoding, not under this."""
     white = observation.white
-    unknown = bas_relief_of(observation.rig) is not None or white.flattened
-    if unknown or white.colours or len(white.lights) <= LEAST_PHOTOGRAPHS:
+    if white.flattened or white.colours or len(white.lights) <= LEAST_PHOTOGRAPHS:
         return []
     other = white.as_if_stored(observation.other_encoding)
     (grey, *_), lights = sampled(other, finger)

@@ -244,9 +244,6 @@ CODES: dict[str, Code] = {
         "No flexion crease is in view; all of the finger is kept.", "Nothing, or show more of it."
     ),
     "no-nir": Code("The shape comes from white light.", "Capture near-infrared photographs."),
-    "bas-relief": Code(
-        "The lights were estimated; one factor and a tilt stay open.", "Measure the lights."
-    ),
     "estimated-brightness": Code("The brightness of the lights was estimated.", "Calibrate it."),
     "grey-photographs": Code(
         "Grey photographs do not tell glare from skin.", "Take colour photographs."

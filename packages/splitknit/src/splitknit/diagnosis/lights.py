@@ -20,7 +20,6 @@ from splitknit.integration.poisson import poisson
 from splitknit.model import Array, BoolArray, FloatArray, Led, Rig
 from splitknit.observation.observe import Observation
 from splitknit.photometric.places import GROUND_POINTS, places_by_ground, plain_ground
-from splitknit.photometric.uncalibrated import bas_relief_of
 from splitknit.skin.light import fresnel_transmission
 
 EXPLAINED = 0.2
@@ -44,9 +43,8 @@ def with_places_by_ground(
     """
     white, camera = observation.white, observation.rig.camera
     leds = white.rig.leds
-    known = white.flattened or bas_relief_of(observation.rig) is not None
     near = any(led.position_mm or led.also for led in leds)
-    if known or near or white.colours or not camera.scale_known:
+    if white.flattened or near or white.colours or not camera.scale_known:
         return observation, {}, []
     step = math.ceil(math.sqrt(finger.mask.size / GROUND_POINTS))
     stack = white.at(step, (slice(None), slice(None))).grey

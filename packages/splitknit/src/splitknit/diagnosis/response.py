@@ -28,7 +28,6 @@ from splitknit.observation.light import Light
 from splitknit.observation.observe import Observation
 from splitknit.photometric.equations import shading, solve
 from splitknit.photometric.near_light import pseudo_normals
-from splitknit.photometric.uncalibrated import bas_relief_of
 
 SWAPPED = (
     "the skin is {:.1f} times as bright in blue as in red, but blood makes it 0.4 to 0.7: the files"
@@ -118,8 +117,7 @@ def doubt_of_response(
         if isinstance(response, ResponseDoubt):
             return response
         responses.append(response)
-    # lights that were estimated fit any tone
-    if not responses or bas_relief_of(observation.rig) is not None:
+    if not responses:
         return None
     doubt = _doubt_of_tone(responses, encodings)
     if doubt is not None and encodings:

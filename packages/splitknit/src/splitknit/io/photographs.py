@@ -50,8 +50,8 @@ class GivenPhotographs:
     up, z to the camera; a fourth number is its brightness (a fourth to sixth: red, green, blue),
     else light_intensities.txt beside the list has it; places in mm where the first line is 'x_mm
     y_mm z_mm', angles where it is 'azimuth_deg elevation_deg' (counter-clockwise from x; 90 at the
-    camera); also rig files, .lp of RTI, .dome of Relight; unknown: they are estimated (default:
-    lights.txt beside the images)."""
+    camera); also rig files, .lp of RTI, .dome of Relight (default: lights.txt beside the
+    images)."""
     px_per_mm: Annotated[float | None, SCALES] = None
     """Scale on the object, where the input has none; without it heights are in pixels."""
     _: KW_ONLY

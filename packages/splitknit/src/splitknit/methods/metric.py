@@ -30,7 +30,6 @@ from splitknit.methods.photometry import (
 from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric.forward import Gloss, fitted_gloss
 from splitknit.photometric.near_light import near_light
-from splitknit.photometric.uncalibrated import bas_relief_of, bas_relief_um
 from splitknit.plausible import RELIEF
 from splitknit.presets import HeightSettings, NormalsSettings, Parameters, PipelineSettings
 from splitknit.skin.diffusion import Diffusion, SkinSettings
@@ -401,17 +400,8 @@ def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -
     parameters = settings.parameters(bool(white.light.colours), white.material)
     surface = metric_opaque(white, nir, parameters)
     shape_source = "white" if nir == white else "nir"
-    facts: dict[str, Any] = {
-        "shape_source": shape_source,
-        "separation": OPAQUE,
-        "heights": "measured",
-    }
-    if (unsure := bas_relief_of(white.rig)) is None:
-        return replace(surface, facts=facts)
-    deviation_um = bas_relief_um(surface.height_mm, white.inside, white.pitch_mm, unsure)
-    directions = np.round(white.rig.light_vectors(), 3).tolist()
-    facts |= {"lights": "estimated", "light_directions": directions, "bas_relief": unsure}
-    return replace(surface, uncertainty_um=deviation_um, facts=facts)
+    facts = {"shape_source": shape_source, "separation": OPAQUE, "heights": "measured"}
+    return replace(surface, facts=facts)
 
 
 JPEG_LOSS = 0.3

@@ -20,7 +20,6 @@ from splitknit.observation.films import specular_of
 from splitknit.observation.jpeg import saved_as_jpeg
 from splitknit.observation.light import Light
 from splitknit.observation.observe import Observation, observe
-from splitknit.photometric.uncalibrated import bas_relief_note, bas_relief_of
 from splitknit.presets import PipelineSettings
 from splitknit.reconstruction import Reconstruction
 from splitknit.steps import step
@@ -148,8 +147,6 @@ def findings_for(photographs: FingerPhotographs, settings: PipelineSettings) -> 
         findings.append(side_unused(observation.side.photographs))
     if _shape_from_nir(settings) and alone and observation.material == "skin":
         findings.append(Finding("no-nir", NO_NIR))
-    if (unsure := bas_relief_of(observation.rig)) is not None:
-        findings.insert(0, Finding("bas-relief", bas_relief_note(unsure)))
     return worst_first(findings)
 
 

@@ -54,7 +54,6 @@ from splitknit.settings import check_value
 _NO_CAMERA = Camera(1.0, (1, 1))
 """Stands for a camera that is not known. Source: definition."""
 _MASK_ALL = "all"  # in place of a mask: the object fills the photographs
-UNKNOWN = "unknown"  # in place of the lights: they are estimated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,8 +104,6 @@ def capture_from_photographs(photographs: GivenPhotographs) -> Photographs:
     if skipped:
         notes.append(Finding("skipped-files", f"skipped in {root}: {some_of(skipped)}."))
     require(len(files) > 0, f"{root} holds no photographs ({FORMATS}){left_out}.")
-    if source == Path(UNKNOWN):
-        known = replace(known, rig=_unknown_rig(len(files)))
     count = len(known.rig.leds)
     if len(files) == 1 and count == 3:  # three coloured lights at once: one channel for each
         files = files * 3
@@ -187,8 +184,6 @@ def _lights_of(folder: Path, lights: Any) -> _Lights:
     """The white lights of a rig, of directions (L, 3), or of a file, by default one in `folder`."""
     if isinstance(lights, Rig):
         return _Lights(Path("the rig"), _of_band(lights, "white", "the rig"))
-    if isinstance(lights, str | os.PathLike) and os.fspath(lights) == UNKNOWN:
-        return _Lights(Path(UNKNOWN), _unknown_rig(1))
     if lights is not None and not isinstance(lights, str | os.PathLike):
         return _Lights(Path("lights"), _distant_rig(check_lights(lights)))
     if lights is not None:
@@ -200,7 +195,9 @@ def _lights_of(folder: Path, lights: Any) -> _Lights:
             usual = of_rti
         require(
             len(usual) > 0,
-            f"{folder} holds no lights.txt; name the file of the light directions by `lights`.",
+            f"{folder} holds no lights.txt; give `lights`, a list of directions or places, or a rig"
+            " file: a ball in the pictures shows them (`splitknit calibrate lights`, option"
+            " `sphere`).",
         )
         table = usual[0]
     if table.suffix.lower() == ".json":
@@ -225,7 +222,7 @@ def _with_brightness(lights: _Lights, brightness: str) -> _Lights:
     """The lights with a brightness that is equal, or to be estimated."""
     leds = tuple(replace(led, intensity=1.0) for led in lights.rig.leds)
     require(
-        brightness == "equal" or len(leds) >= 5 or lights.source == Path(UNKNOWN),
+        brightness == "equal" or len(leds) >= 5,
         f"brightness is estimated of five lights or more, but there are {len(leds)}: state it in"
         " the list.",
     )
@@ -279,21 +276,6 @@ def _near_rig(places: Array, table: Path) -> Rig:
     return _rig_of([Led("white", position_mm=(x, y, z)) for x, y, z in places.tolist()], "near")
 
 
-def spread_lights(count: int) -> Array:
-    """(L, 3) directions that all differ, in place of unknown ones."""
-    k = np.arange(count)
-    slant = np.deg2rad(15.0 + 35.0 * (k + 0.5) / count)
-    azimuth = np.pi * (3.0 - np.sqrt(5.0)) * k
-    x = np.sin(slant) * np.cos(azimuth)
-    y = np.sin(slant) * np.sin(azimuth)
-    return np.column_stack([x, y, np.cos(slant)])
-
-
-def _unknown_rig(count: int) -> Rig:
-    rig = _distant_rig(spread_lights(count))
-    return replace(rig, provenance={**rig.provenance, "lights": UNKNOWN})
-
-
 def capture_of_arrays(
     images: Any,
     lights: Any,
@@ -326,10 +308,10 @@ def capture_of_arrays(
         scale = None if px_per_mm is None else float(px_per_mm)
         if intensities is not None:
             brightness = np.asarray(intensities, dtype=np.float64).reshape(count, -1)
-        vectors = spread_lights(count) if lights is None else np.asarray(lights, dtype=np.float64)
+        vectors = np.asarray(lights, dtype=np.float64)
     check_value("`px_per_mm`", SCALES, scale)
     check_lights(vectors, count)
-    rig = _unknown_rig(count) if lights is None else _distant_rig(vectors)
+    rig = _distant_rig(vectors)
     colours = None
     if brightness is not None:
         positive = bool(np.isfinite(brightness).all()) and float(brightness.min()) > 0
@@ -342,7 +324,7 @@ def capture_of_arrays(
     notes: list[Finding] = []
     encoding = "linear"
     if kind == np.uint8:
-        curved = None if lights is None else _values_are_srgb(list(map(_sampled, stack)), rig)
+        curved = _values_are_srgb(list(map(_sampled, stack)), rig)
         encoding = "linear" if curved is False else "srgb"
         why = "was assumed" if curved is None else "fits the shading"
         words = f"the encoding {encoding} {why} of images of 8 bits."
@@ -534,7 +516,7 @@ def _shading_is_srgb(files: Sequence[Path], rig: Rig, photographs: GivenPhotogra
     if photographs.flat is not None:
         return False
     # lights of known brightness from which shading shows the curve; one more where it is estimated
-    if rig.provenance.get("lights") == UNKNOWN or len(files) < 5:
+    if len(files) < 5:
         return None
     number = min(len(files), 24)  # enough, and quick
     chosen = np.unique(np.linspace(0, len(files) - 1, number).astype(int))

@@ -337,10 +337,6 @@ EXPLAINED = {
     "light_brightness": (
         "Brightness of each light over the mean, estimated with the surface and taken out."
     ),
-    "bas_relief": (
-        "Standard deviations that estimated lights leave: factor of all heights, slope to right"
-        " and up."
-    ),
     "level_removed_um": (
         "Height of the field's own bend, which was removed: a polynomial of `level_order`."
     ),
