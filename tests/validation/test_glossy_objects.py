@@ -18,6 +18,7 @@ from splitknit.reconstruction import Reconstruction
 
 with scripts_of(VALIDATION / "objects") as script:
     GLOSSY: ModuleType = script("glossy")
+    MISTAKES: ModuleType = script("mistakes")
 
 NOT_OF_GLOSS = {
     "unequal-lights",
@@ -183,3 +184,17 @@ def test_heights_of_what_is_not_matt_have_an_uncertain_factor() -> None:
     depth_um = 1000 * np.ptp(satin.height_mm[satin.mask])
     largest_um = np.nanmax(satin.uncertainty_um[satin.mask])
     assert 0.1 * depth_um < largest_um < 0.5 * depth_um
+
+
+def test_mistakes_with_a_sound_set_are_named() -> None:
+    """validation/objects/mistakes.py, which needs real photographs, on a rendered egg."""
+    target = GLOSSY.photographed("egg", GLOSSY.MATT, 12)
+    images = target.images / 65535.0
+    named = {
+        mistake: MISTAKES.said(spoilt, lights, target.mask)
+        for mistake, spoilt, lights in MISTAKES.mistakes(images, target.lights, target.mask)
+    }
+    assert named["none"] == ""
+    assert named["lights reversed"] == named["lights shifted by one"] == "light-order"
+    assert named["y points down"] == named["turned by 90 deg"] == "light-frame"
+    assert named["lamps differ by 12 %"] == named["one lamp at 0.4"] == "estimated-brightness"

@@ -52,6 +52,7 @@ class Limits:
     """Logarithm of one lamp's brightness over the others', from which it is taken out alone: up to
     0.27 on DiLiGenT's bear and ball, whose other lamps agree within 0.01."""
     agreeing: float = 0.1  # robust deviation of the other lamps' logarithms, at most
+    odd_misfit: float = 0.05  # with it taken out, at most: a raking light of a rough fossil has 0.2
     alike: float = 1.3  # misfit of unequal lights over that of gloss up to which both are possible
     simpler: float = 1.5
     """Misfit without gloss over that with it up to which there is none."""
@@ -105,7 +106,8 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
     asked = rig.provenance.get("intensities") == "estimate"
     lamps = unequal.gains - np.median(unequal.gains)
     odd = np.abs(lamps) > LIMITS.odd
-    if not (asked or clear) and odd.any() and deviation(lamps) < LIMITS.agreeing:
+    alone = odd.any() and deviation(lamps) < LIMITS.agreeing
+    if not (asked or clear) and alone and unequal.misfit < LIMITS.odd_misfit:
         clear, lamps = True, np.where(odd, lamps, 0.0)
     if not (asked or clear):
         return band, facts, _unexplained(fits, equal, rig.intensities_assumed)

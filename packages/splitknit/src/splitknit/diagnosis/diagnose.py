@@ -89,8 +89,8 @@ def _judged_object(
                 bands[name], of_lights, notes = with_equal_lights(bands[name], finger)
                 findings += notes
                 facts |= of_lights
-        if bands["white"].photographs < observation.white.photographs:
-            fit = None  # it counts the photographs that were left out
+        if bands["white"] is not observation.white:
+            fit = None  # some photographs were left out, or lamps evened
         observation = replace(observation, bands=bands)
     for name in _judged_bands(observation):
         of_band, doubt = _judged_lights(observation, name, finger, fit, None)

@@ -403,7 +403,9 @@ def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -
     shape_source = "white" if nir == white else "nir"
     stated = photographs.finger.facts
     places_sd = stated.get("light_places_sd", 0.0)
-    factor_sd = math.hypot(math.sqrt(stated.get("matt_misfit", _UNSEEN_MISFIT)), places_sd)
+    misfit = stated.get("matt_misfit", _UNSEEN_MISFIT)
+    factor_sd = math.hypot(min(math.sqrt(misfit), _LARGEST_FACTOR), places_sd)
+    tilt_sd = min(_TILT_OF_FACTOR * factor_sd, _LARGEST_TILT)
     facts = {
         "shape_source": shape_source,
         "separation": OPAQUE,
@@ -411,19 +413,21 @@ def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -
         "height_factor_sd": round(factor_sd, 3),
     }
     deviation_um = factor_deviation_um(
-        surface.height_mm, white.inside, white.pitch_mm, factor_sd, _TILT_OF_FACTOR * factor_sd
+        surface.height_mm, white.inside, white.pitch_mm, factor_sd, tilt_sd
     )
-    findings = (*surface.findings, *_note_of_factor(factor_sd))
+    findings = (*surface.findings, *_note_of_factor(factor_sd, tilt_sd))
     return replace(surface, uncertainty_um=deviation_um, facts=facts, findings=findings)
 
 
 _UNSEEN_MISFIT = 0.06  # where too few photographs show it: that of DiLiGenT's bear
 _NOTED_FACTOR = 0.1
-_TILT_OF_FACTOR = 0.1
-"""Deviation of the whole's tilt, in rad, over that of the heights' factor. Shading that is not matt
-bends slopes by a factor, whose standard deviation is about the root of a matt surface's misfit:
-errors over it have an rms of 0.84, 22 of 24 within two, on DiLiGenT's bear and ball, 14 rendered
-objects of gloss and metal, and eight matt ones (validation/objects)."""
+_LARGEST_FACTOR = 0.5
+"""Shading that is not matt bends slopes by a factor, whose standard deviation is about the root of
+a matt surface's misfit, up to this: errors of its logarithm over it have an rms of 0.85, 22 of 24
+within two, on DiLiGenT's bear and ball, 14 rendered objects of gloss and metal, and eight matt ones
+(validation/objects)."""
+_TILT_OF_FACTOR = 0.1  # deviation of the whole's tilt, in rad, over the factor's
+_LARGEST_TILT = 0.02  # in rad: up to 1.4 deg on the same objects
 FACTOR = (
     "all heights may be off by one factor, by {:.0f} % (standard deviation), and the whole tilted"
     " by {:.1f} deg: gloss, a tone curve of the camera and ambient light bend the shading in the"
@@ -431,11 +435,11 @@ FACTOR = (
 )
 
 
-def _note_of_factor(factor_sd: float) -> tuple[Finding, ...]:
+def _note_of_factor(factor_sd: float, tilt_sd: float) -> tuple[Finding, ...]:
     if factor_sd < _NOTED_FACTOR:
         return ()
-    tilt_deg = math.degrees(_TILT_OF_FACTOR * factor_sd)
-    return (Finding("height-factor", FACTOR.format(100 * factor_sd, tilt_deg)),)
+    words = FACTOR.format(100 * factor_sd, math.degrees(tilt_sd))
+    return (Finding("height-factor", words),)
 
 
 def factor_deviation_um(
