@@ -186,8 +186,8 @@ def _resampled(
 
 
 _TIMES_OF_BYTE = np.repeat(np.arange(6, dtype=np.uint8), (94, 95, 46, 16, 4, 1))
-"""(256,) times that a comparison counts, by an equally likely byte: mean and variance are one, third
-moment 0.98, nearly a Poisson variable's. Source: derived."""
+"""(256,) times that a comparison counts, by an equally likely byte: mean and variance are one, the
+third moment is 0.98, nearly as of a Poisson variable. Source: derived."""
 
 
 def _times(count: int, method: str, settings: BootstrapSettings) -> Iterator[Counts]:
