@@ -71,6 +71,7 @@ from splitknit_match.batch.surfaces import read_surface, write_surface
 from splitknit_match.batch.tables import read_origin, write_table
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.evaluation.scores import read_scores
+from splitknit_match.gallery.candidates import Candidates
 from splitknit_match.gallery.file import Entry, GalleryFile, NewCapture, key_of
 from splitknit_match.gallery.folder import export_gallery, import_gallery
 from splitknit_match.gallery.serve import read_token
@@ -705,6 +706,17 @@ def _identified(folder: Path, files: Files) -> object:
     return identify(folder / "x.skg", folder / "x.skt")
 
 
+def _candidates() -> list[Files]:
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "x.skg"
+        Candidates({"a": _new("x", 1).template, "b": _new("x", 2).template}).save(path)
+        return [{"x.skg": path.read_bytes()}]
+
+
+def _loaded(folder: Path, files: Files) -> None:
+    Candidates.load(folder / "x.skg").prepare()
+
+
 def _exports() -> list[Files]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "x.skg"
@@ -990,6 +1002,7 @@ TARGETS = (
     Target("key", lambda: _each("key", b"ab" * 32 + b"\n", b"correct horse"), _keys),
     Target("gallery", lambda: _each("x.skg", _gallery()), _opened),
     Target("identify", _galleries, _identified, _skt_repaired),
+    Target("candidates", _candidates, _loaded),
     Target("gallery_import", _exports, _imported, _skt_repaired),
     Target("batch", lambda: [_store()], _batch),
     Target(

@@ -328,7 +328,7 @@ def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(
 
 
 @pytest.mark.slow
-def test_a_killed_worker_of_a_cluster_loses_nothing(people: Path, tmp_path: Path) -> None:
+def test_a_killed_worker_of_a_cluster_loses_nothing(people: Path, tmp_path: Path, caplog) -> None:
     distributed = pytest.importorskip("distributed")
     out = tmp_path / "cluster"
     with distributed.LocalCluster(
@@ -339,6 +339,7 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(people: Path, tmp_path: Path
             facts = run(people, out, "ridge", "thesis", scheduler=cluster.scheduler_address)
     assert killed.is_set()
     assert facts["reconstructed"] == 4
+    assert "was lost; others do its tasks again." in caplog.text
     run(people, tmp_path / "here", "ridge", "thesis")
     assert tables(out) == tables(tmp_path / "here")
     for matcher in ("ridge", "thesis"):

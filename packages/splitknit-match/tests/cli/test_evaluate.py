@@ -116,6 +116,8 @@ def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: C
     ]
     assert facts["eer"]["value"] == roc(*sides).equal_error().value
     assert facts["gar_at_far"]["0.01"]["value"] == roc(*sides).at_far(0.01).gar
+    assert facts["auc"]["value"] == roc(*sides).auc()
+    assert facts["d_prime"]["value"] == pytest.approx(roc(*sides).d_prime())
     system = facts["systems"]["ours"]
     point = roc(*sides).scored().at_far(0.01)
     assert system["fnmr_at_fmr"]["0.01"]["value"] == pytest.approx(1 - point.gar)

@@ -335,6 +335,9 @@ def test_a_record_is_described_with_what_it_holds(prints: Path, tmp_path: Path, 
     assert "380 x 500 pixels, 500 ppi" in words
     (tmp_path / "cut.iso").write_bytes(record.read_bytes()[:100])
     assert "truncated" in facts_of(capsys, f"records what {tmp_path}/cut.iso")["damage"]
+    both = facts_of(capsys, f"records what {record} {tmp_path}/cut.iso")["files"]
+    assert both[0] == facts
+    assert "damage" in both[1]
 
 
 def test_files_that_are_no_records_are_described(prints: Path, tmp_path: Path, capsys) -> None:

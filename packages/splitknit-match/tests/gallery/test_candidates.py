@@ -52,9 +52,50 @@ def test_what_cannot_be_searched_is_refused(templates) -> None:
     for bad, words in ((damaged, "^x: .* does not fit its header"), ({"x": "a"}, "bytes")):
         with pytest.raises(BadInput, match=words):
             candidates.add(bad)
-    with pytest.raises(BadInput, match="holds nothing of person 'x'"):
+    with pytest.raises(BadInput, match="there is no template 'x' among the candidates"):
         candidates.remove("x")
     assert len(candidates) == 0
+
+
+def test_saved_candidates_are_loaded_with_their_minutiae(templates, tmp_path: Path) -> None:
+    candidates = splitknit_match.Candidates(templates)
+    stages = []
+    candidates.prepare(lambda stage, fraction: stages.append(stage))
+    assert set(stages) == {"finding minutiae"}
+    candidates.save(tmp_path / "c.skg")
+    assert (tmp_path / "c.skg").stat().st_mode & 0o077 == 0
+    loaded = splitknit_match.Candidates.load(tmp_path / "c.skg")
+    probe = press(2, -7, 12.0)
+    own, again = (each.search(probe, resolution_ppi=PPI) for each in (candidates, loaded))
+    assert again.candidates == own.candidates
+    stages.clear()
+    loaded.prepare(lambda stage, fraction: stages.append(stage))
+    assert not stages  # nothing is found anew
+    loaded.add({"dan": templates["ann"]})
+    assert len(loaded) == 4
+    with pytest.raises(BadInput, match=r"there is a file '.*' already"):
+        candidates.save(tmp_path / "c.skg")
+
+
+def test_files_of_candidates_are_refused_as_galleries_are(templates, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="no templates to save"):
+        splitknit_match.Candidates().save(tmp_path / "none.skg")
+    assert not (tmp_path / "none.skg").exists()
+    with pytest.raises(BadInput, match="there is no gallery"):
+        splitknit_match.Candidates.load(tmp_path / "none.skg")
+    damaged = tmp_path / "damaged.skg"
+    splitknit_match.Candidates(templates).save(damaged)
+    data = bytearray(damaged.read_bytes())
+    place = data.find(templates["bob"][-300:-200])
+    data[place : place + 50] = bytes(50)
+    damaged.write_bytes(data)
+    with pytest.raises(BadInput, match="bob"):
+        splitknit_match.Candidates.load(damaged)
+    gallery = splitknit_match.Gallery(tmp_path / "g.skg")
+    for name in ("ann", "bob"):
+        gallery.enroll(templates[name], "Ann", "right_index", duplicates="allow")
+    with pytest.raises(BadInput, match="several captures of one person"):
+        splitknit_match.Candidates.load(tmp_path / "g.skg")
 
 
 def test_raising_in_progress_leaves_nothing(templates, tmp_path: Path, caplog) -> None:

@@ -186,4 +186,4 @@ def test_where_minutiae_are_sure_ridges_propose_nothing(monkeypatch) -> None:
     monkeypatch.setattr("splitknit_match.matching.fusion.SURE", 1000.0)
     with pytest.raises(TypeError):
         fused_match(*sides)
-    assert fused_match(*sides, sure=0.0).similarity == expected  # as a search does
+    assert fused_match(*sides, quick=True).similarity == expected  # as a search does

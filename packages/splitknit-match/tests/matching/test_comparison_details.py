@@ -59,9 +59,9 @@ def rated(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         return Rated(fmr=1e-4, decision=decision, answer="match")
 
     monkeypatch.setattr(methods, "rate", rate)
-    monkeypatch.setattr(methods, "fused_match", lambda a, b, sure: FUSED)
+    monkeypatch.setattr(methods, "fused_match", lambda a, b, quick: FUSED)
     monkeypatch.setattr(methods, "ridge_match", lambda a, b: RIDGES)
-    monkeypatch.setattr(methods, "fused_photo", lambda *values: (FUSED, 1.0, 0))
+    monkeypatch.setattr(methods, "fused_photo", lambda *values, quick: (FUSED, 1.0, 0))
     monkeypatch.setattr(methods, "minutiae_match", lambda a, b: 41.0)
     return asked
 
@@ -111,7 +111,7 @@ def test_photographs_are_tried_at_several_scales(rated: list, monkeypatch) -> No
         (0.98, 0, "it fits best 2 % smaller."),
     ):
 
-        def tried(a: Any, b: Any, photos: list[bool], sure=None, fit=(FUSED, scale, number)) -> Any:
+        def tried(a: Any, b: Any, photos: list[bool], quick, fit=(FUSED, scale, number)) -> Any:
             asked.append((a.template, b.template, photos))
             return fit
 

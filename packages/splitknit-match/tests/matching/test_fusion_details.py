@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splitknit_match.matching import fusion, methods
-from splitknit_match.matching.elastic import Agreement
+from splitknit_match.matching.elastic import Agreement, patch_grid
 from splitknit_match.matching.fusion import at_one_scale, fused_match, fused_score
 from splitknit_match.matching.ridge import Prepared, ridge_match, scored
 from splitknit_match.matching.template import Template, leveled, print_size, scaled
@@ -71,7 +71,8 @@ def test_little_overlap_lowers_the_similarity(
         np.zeros((10, 10 * smaller_mm2), np.uint8), np.ones((10, 10 * smaller_mm2), bool), 0.1
     )
     for pair in ((side, smaller), (smaller, side)):
-        result = scored(*map(Prepared, pair), agreement)
+        ready = Prepared(pair[0]), Prepared(pair[1])
+        result = scored(*ready, patch_grid(ready[1].band), agreement)
         assert result.overlap_mm2 == pytest.approx(overlap_mm2, rel=1e-5)
         assert result.correlation == pytest.approx(0.8)
         assert result.similarity == pytest.approx(0.8 * math.sqrt(factor), rel=1e-5)
@@ -224,6 +225,20 @@ def test_scores_of_drawn_prints_stay(
     assert (match.similarity, match.minutiae) == pytest.approx(fused, rel=0.02, abs=0.2)
     assert (ridge.similarity, ridge.overlap_mm2) == pytest.approx(ridges, rel=0.02, abs=0.01)
     assert (ridge.rotation_deg, ridge.right_mm, ridge.up_mm) == pytest.approx(alignment, abs=0.1)
+
+
+def test_a_quick_comparison_lets_skin_slip_where_prints_may_be_of_one_finger(
+    pairs: dict[str, tuple[Template, Template]], monkeypatch
+) -> None:
+    closely = fused_match(*pairs["bent"])
+    assert fused_match(*pairs["bent"], quick=True) == closely
+    monkeypatch.setattr(fusion, "_bends", None)
+    with pytest.raises(TypeError):
+        fused_match(*pairs["bent"], quick=True)
+    monkeypatch.setattr(fusion, "_MIN_EVIDENCE", 1000.0)
+    excluded = fused_match(*pairs["bent"], quick=True)
+    assert excluded.compared
+    assert excluded.ridge.overlap_mm2 == pytest.approx(closely.ridge.overlap_mm2, rel=0.25)
 
 
 def test_scores_of_different_prints_stay() -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import ipaddress
+import logging
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ from splitknit.networks.unet import running, use_device
 from splitknit.workers import run_jobs
 
 Task = TypeVar("Task")
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,8 +194,13 @@ def _on_cluster(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> It
     threads = max(sum(client.nthreads().values()), 1)
     futures = distributed.as_completed(submitted(AHEAD * threads), loop=client.loop)
     kept = "what is finished is kept"
+    known = set(client.nthreads())
     try:
         for future in futures:
+            there = set(client.nthreads())
+            for address in known - there:
+                _log.warning("the worker %s was lost; others do its tasks again.", address)
+            known = there
             yield future.result()
             futures.update(submitted(1))
     except distributed.KilledWorker as error:

@@ -7,17 +7,18 @@ drawn by subject, count w_s: they come along together.) Impostor scores that sha
 thus rise and fall together. Copies of one finger in a replicate are not compared with each other:
 there is no score for it.
 
-``plain``: each comparison counts as often as a Poisson variable of mean one, which is how often one
-of many is drawn. Right only if they are independent, which they are not where a finger takes part
-in several.
+``plain``: each comparison counts 0 to 5 times, independently, with mean and variance one, as one of
+many that is drawn does. Right only if they are independent, which they are not where a finger takes
+part in several.
 
 Source: T. A. B. Snijders, S. P. Borgatti, "Non-parametric standard errors and tests for network
 statistics", Connections 22(2), 1999 (the vertex bootstrap). A. B. Owen, "The pigeonhole bootstrap",
 Annals of Applied Statistics 1(2), 2007 (two-way; the variance is right or a little large). R.
 Fogliato, P. Patil, P. Perona, "Confidence intervals for error rates in 1:1 matching tasks",
 International Journal of Computer Vision, 2024 (a review: bootstraps cover too often or too rarely
-where errors are few). J. A. Hanley, B. MacGibbon, "Creating non-parametric bootstrap samples using
-Poisson frequencies", Computer Methods and Programs in Biomedicine 83(1), 2006.
+where errors are few). J. Praestgaard, J. A. Wellner, "Exchangeably weighted bootstraps of the
+general empirical process", Annals of Probability 21(4), 1993 (independent weights of mean and
+variance one).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -183,18 +185,19 @@ def _resampled(
     ]
 
 
+_TIMES_OF_BYTE = np.repeat(np.arange(6, dtype=np.uint8), (94, 95, 46, 16, 4, 1))
+"""(256,) times that a comparison counts, by an equally likely byte: mean and variance are one, the
+third moment is 0.98, nearly as of a Poisson variable. Source: derived."""
+
+
 def _times(count: int, method: str, settings: BootstrapSettings) -> Iterator[Counts]:
     """How often each of `count` is drawn in each replicate, and one for what is not drawn."""
     generator = np.random.default_rng(settings.seed)
-    # of a Poisson variable: below which of 65,536 equally frequent numbers it is 0, 1, ... at most
-    ends = 65536 * np.cumsum([math.exp(-1) / math.factorial(times) for times in range(8)])
     times = np.ones(count + 1, dtype=np.uint16)
     for _ in range(settings.replicates):
         if method == "plain":
-            numbers = generator.integers(0, 65536, count, dtype=np.uint16)
-            times[:-1] = numbers >= ends[0].astype(np.uint16)
-            for end in ends[1:].astype(np.uint16):
-                times[:-1] += numbers >= end
+            drawn = np.frombuffer(generator.bytes(count), dtype=np.uint8)
+            times[:-1] = cv2.LUT(drawn, _TIMES_OF_BYTE).ravel()
         else:
             times[:-1] = np.bincount(generator.integers(0, count, count), minlength=count)
         yield times

@@ -4,8 +4,6 @@ curves as SVG."""
 from __future__ import annotations
 
 import base64
-import datetime
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,7 +13,7 @@ import numpy as np
 
 from splitknit import BadInput
 from splitknit.io.atomic import atomic_folder
-from splitknit.io.provenance import json_text, plain_json, provenance
+from splitknit.io.provenance import json_text, plain_json, report_head
 from splitknit.report import template
 from splitknit_match.evaluation import curves
 from splitknit_match.evaluation.evaluate import Evaluation, Result
@@ -62,17 +60,9 @@ def _facts(evaluation: Evaluation, settings: Mapping[str, Any]) -> dict[str, Any
     systems = {result.scores.name: _system(result, bootstrap) for result in evaluation.results}
     first = next(iter(systems))
     return {
-        "format": FORMAT,
-        "version": 1,
-        "software": {
-            "name": "splitknit",
-            "version": provenance()["version"],
-            "python": platform.python_version(),
-        },
-        "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        **report_head(FORMAT),
         "system": first,
-        "eer": systems[first]["eer"],
-        "gar_at_far": systems[first]["gar_at_far"],
+        **_rates(evaluation.results[0].intervals.figures, bootstrap.targets),
         "systems": systems,
         "differences": [
             {

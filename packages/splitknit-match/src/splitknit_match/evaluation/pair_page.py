@@ -3,7 +3,6 @@ a picture."""
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 from splitknit.imaging.geometry import bounding_box
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.pictures import colour, on_paper
-from splitknit.io.provenance import json_text, provenance
+from splitknit.io.provenance import json_text, provenance, report_head
 from splitknit.io.results import write_picture
 from splitknit.model import FloatArray
 from splitknit.report import template
@@ -39,10 +38,7 @@ def write_comparison(
     """
     turn = np.rad2deg(np.arccos(np.clip((np.trace(pair.rotation) - 1.0) / 2.0, -1.0, 1.0)))
     facts: dict[str, Any] = {
-        "format": FORMAT,
-        "version": 1,
-        "software": {"name": "splitknit", "version": provenance()["version"]},
-        "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        **report_head(FORMAT),
         "a": str(names[0]),
         "b": str(names[1]),
         "fit": pair.fit,

@@ -7,21 +7,24 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Self
 
-from splitknit.arguments import Natural, Preset, Ridges, checked
+from splitknit.arguments import AnyPath, Natural, Preset, Ridges, checked
 from splitknit.errors import naming, require
 from splitknit.model import Progress, no_progress
-from splitknit_match.gallery.file import Entry, People
+from splitknit_match.gallery.file import Entry, GalleryFile, Key, NewCapture, People
 from splitknit_match.gallery.identify import (
     MINUTIAE_HASH,
     TEMPLATES_HASH,
     Identification,
+    comparable_people,
     identify_finger,
 )
 from splitknit_match.matching.inputs import held, side_reader
 from splitknit_match.matching.match import Finger
 from splitknit_match.matching.template import unpack
 from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
+from splitknit_match.threads import one_blas_thread
 
 _NAME = Path("candidates")
 
@@ -81,8 +84,47 @@ class Candidates:
 
     def remove(self, name: str) -> None:
         """Take a template out. Raises BadInput if there is none of this name."""
-        self._people.of(name, None)
+        names = {entry.person for entry in self._people.entries.values()}
+        require(name in names, f"there is no template '{name}' among the candidates.")
         self._people = self._without((name,))
+
+    def prepare(self, progress: Progress = no_progress) -> None:
+        """Make what the first search would make: the index of all minutiae."""
+        one_blas_thread()
+        self._people.index(progress)
+
+    def save(self, path: AnyPath, key: Key | AnyPath | None = None) -> None:
+        """Write all, and what is known of their minutiae, into a new file, which only you can read.
+
+        It is a gallery's, of one finger a name; `key`: file with the key of an encrypted one.
+        Raises BadInput if the file is there, or there is nothing to write.
+        """
+        file = GalleryFile(path, key)
+        require(not file.there, f"there is a file '{path}' already; name another one.")
+        require(len(self) > 0, "there are no templates to save; add some first.")
+        people = self._people
+        captures = (
+            NewCapture(entry, people.templates[row], people.minutiae.get(row, b""))
+            for row, entry in people.entries.items()
+        )
+        file.add(captures, people.settings_sha256 or TEMPLATES_HASH)
+
+    @classmethod
+    def load(cls, path: AnyPath, key: Key | AnyPath | None = None) -> Self:
+        """Read what :meth:`save` wrote, or a gallery of one capture a person.
+
+        Raises BadInput if the file is damaged, of another version, or names somebody twice.
+        """
+        people = comparable_people(GalleryFile(path, key))
+        names = {entry.person for entry in people.entries.values()}
+        require(
+            len(names) == len(people.entries),
+            f"'{path}' holds several captures of one person; open it as a Gallery.",
+        )
+        candidates = cls()
+        candidates._people = people
+        candidates._rows = max(people.entries, default=0)
+        return candidates
 
     def _without(self, names: Collection[str]) -> People:
         people = self._people

@@ -140,6 +140,9 @@ class NewCapture:
     entry: Entry
     template: bytes = field(repr=False)
     """Payload (:func:`splitknit_match.matching.template.pack`), empty for a failure to acquire."""
+    minutiae: bytes = field(default=b"", repr=False)
+    """As :func:`splitknit_match.gallery.minutia_index.kept_minutiae` makes them, where they are
+    known."""
 
 
 MAX_NAME = 100  # longest name of a person
@@ -460,7 +463,11 @@ class GalleryFile:
 
         several = list(captures)
         one_blas_thread()
-        minutiae = list(each(minutiae_of, [capture.template for capture in several]))
+
+        def minutiae_in(capture: NewCapture) -> bytes:
+            return capture.minutiae or minutiae_of(capture.template)
+
+        minutiae = list(each(minutiae_in, several))
         new = []
         with self._changing(settings_sha256) as (database, _):
             first()

@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,8 +99,8 @@ class Compared:
         return rate(self.similarity, self.scores, self.ridge.overlap_mm2, fmr, own)
 
 
-def compare_templates(method: str, a: Prepared, b: Prepared, sure: float | None = None) -> Compared:
-    """Compare two templates by ``ridge`` or ``fusion``; `sure` as of
+def compare_templates(method: str, a: Prepared, b: Prepared, *, quick: bool = False) -> Compared:
+    """Compare two templates by ``ridge`` or ``fusion``; `quick` as of
     :func:`splitknit_match.matching.fusion.fused_match`."""
     kinds = a.template.kind, b.template.kind
     if method == "ridge":
@@ -112,9 +112,9 @@ def compare_templates(method: str, a: Prepared, b: Prepared, sure: float | None 
     photos = [kind == "photo" for kind in kinds]
     scale, number = 1.0, 0
     if any(photos):
-        fused, scale, number = fused_photo(a, b, photos, sure)
+        fused, scale, number = fused_photo(a, b, photos, quick=quick)
     else:
-        fused = fused_match(a, b, sure)
+        fused = fused_match(a, b, quick=quick)
     areas_mm2 = a.printed.template.area_mm2, b.printed.template.area_mm2
     scores = scores_of(impostors_of(method, *kinds), areas_mm2, fused.minutiae)
     return Compared(
@@ -192,7 +192,6 @@ def compare_sides(
         if (
             doubt is None
             and match.answer == "no match"
-            and may_match(turned, templates[1])
             and _prints_match(turned, templates[1], fmr, own)
         ):
             doubt = Finding(
@@ -249,8 +248,7 @@ def _by_templates(method: str, a: Side, b: Side) -> tuple[MatchOfRidges, str]:
     """
     templates = [_comparable(method, side) for side in (a, b)]
     left, right = (
-        side.prepared or Prepared(template)
-        for side, template in zip((a, b), templates, strict=True)
+        side.prepared or _ready(template) for side, template in zip((a, b), templates, strict=True)
     )
     pair = compare_templates(method, left, right)
     ridge = pair.ridge
@@ -283,6 +281,12 @@ def _by_templates(method: str, a: Side, b: Side) -> tuple[MatchOfRidges, str]:
         findings=tuple(findings),
     )
     return match, pair.scores
+
+
+@lru_cache(8)
+def _ready(template: Template) -> Prepared:
+    """What the questions of one comparison share."""
+    return Prepared(template)
 
 
 def _comparable(method: str, side: Side) -> Template:
@@ -440,8 +444,10 @@ def reason(doubt: Finding) -> str:
 
 def _prints_match(a: Template, b: Template, fmr: float | None, own: FmrTable | None) -> bool:
     """Whether two prints match by ridges and minutiae."""
-    pair = compare_templates("fusion", Prepared(a), Prepared(b))
-    return pair.rated(fmr, own).answer == "match"
+    sides = _ready(a), _ready(b)
+    if not may_match(*sides):
+        return False
+    return compare_templates("fusion", *sides).rated(fmr, own).answer == "match"
 
 
 def scale_doubt(

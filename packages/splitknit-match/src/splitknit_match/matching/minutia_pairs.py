@@ -163,9 +163,12 @@ def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Pairing]:
         member = (fits[top] >= _MIN_FIT) | (np.arange(count) == top)
         near = np.where(np.arange(count) == top, value, fits[top] * value)
         company: list[int] = []
+        taken: set[int] = set()  # of A as they are, of B as ~j
         for k in np.argsort(-near, kind="stable").tolist():
-            if member[k] and i[k] not in i[company] and j[k] not in j[company]:
+            both = {int(i[k]), ~int(j[k])}
+            if member[k] and taken.isdisjoint(both):
                 company.append(k)
+                taken |= both
         # cylinders that share too little are not similar at all
         if len(company) < 3 or not value[top] > 0:
             break

@@ -16,7 +16,6 @@ from splitknit.errors import require
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit_match.matching.coarse import CoarseViews, inverse, likely_alignments
 from splitknit_match.matching.elastic import (
-    STEP_MM,
     Affine,
     Agreement,
     PatchGrid,
@@ -171,7 +170,7 @@ def lay(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
     starts = likely_alignments(a.views, b.views)
     tried = [(start, compare_patches(b.first, a.band, start)) for start in starts]
     affine = refined(a, b, *max(tried, key=lambda start: start[1].evidence))
-    return scored(a, b, compare_patches(b.patches, a.band, affine)), affine
+    return scored(a, b, b.patches, compare_patches(b.patches, a.band, affine)), affine
 
 
 _REFINEMENTS = 2
@@ -191,9 +190,9 @@ _MIN_OVERLAP_MM2 = 60.0
 lowered."""
 
 
-def scored(a: Prepared, b: Prepared, agreement: Agreement) -> RidgeMatch:
+def scored(a: Prepared, b: Prepared, patches: PatchGrid, agreement: Agreement) -> RidgeMatch:
     """Similarity by the patches of an alignment."""
-    overlap_mm2 = float(agreement.weight.sum()) * STEP_MM**2
+    overlap_mm2 = float(agreement.weight.sum()) * (patches.step * patches.pitch_mm) ** 2
     smaller_mm2 = min(a.template.area_mm2, b.template.area_mm2)
     limit_mm2 = max(min(_MIN_OVERLAP_MM2, 0.5 * smaller_mm2), 1e-9)
     similarity = agreement.mean * float(np.sqrt(min(1.0, overlap_mm2 / limit_mm2)))

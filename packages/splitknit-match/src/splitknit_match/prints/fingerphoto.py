@@ -195,7 +195,7 @@ def finger_of_photo(
     brightness = light[inside] / np.iinfo(pixels.dtype).max
     change = _to_change(clear & finger, finger, field, amplitude, width_px=width, light=brightness)
     require(
-        quality >= MIN_QUALITY,
+        round(quality) >= MIN_QUALITY,
         f"the photograph's quality is {quality:.0f} of 100, below {MIN_QUALITY}; {change}, and"
         " photograph it again.",
     )

@@ -1,4 +1,4 @@
-"""``splitknit records what FILE``: identify a fingerprint record and list its contents."""
+"""``splitknit records what FILE ...``: identify fingerprint records and list their contents."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ from splitknit.arguments import AnyPath, Report, count
 from splitknit.errors import BadInput
 
 
-def what(file: AnyPath) -> Report:
+def what(file: AnyPath, *others: AnyPath) -> Report:
     """Tell what a record, a picture or a template is, and what it holds.
 
     Parameters
     ----------
     file
         Any file.
+    others
+        More files.
 
     Returns
     -------
     Report
-        That it cannot be read is a result, where it is known what it is.
+        Of several files one a file, as ``files``. That one cannot be read is a result, where it is
+        known what it is.
 
     Raises
     ------
@@ -32,13 +35,21 @@ def what(file: AnyPath) -> Report:
     >>> what("print.wsq").facts["what"]  # doctest: +SKIP
     'a picture (WSQ)'
     """
+    reports = [_what(Path(each)) for each in (file, *others)]
+    if not others:
+        return reports[0]
+    lines = [line for report in reports for line in report.lines]
+    return Report({"files": [report.facts for report in reports]}, tuple(lines))
+
+
+def _what(path: Path) -> Report:
+    """Report on one file."""
     from splitknit.files import open_file
     from splitknit.io.prints import PrintFile
     from splitknit.io.provenance import file_hash
     from splitknit_match.records.fmr_bytes import standard_of, what_bytes_are
     from splitknit_match.records.print_formats import FORMATS, read_prints
 
-    path = Path(file)
     with open_file(path, 1 << 50) as (stream, size):
         first = stream.read(4096)
     form = next((known for known in FORMATS.values() if first.startswith(known.starts)), None)

@@ -4,8 +4,10 @@ is written."""
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import hashlib
 import json
+import platform
 from collections.abc import Container, Mapping, Set
 from pathlib import PurePath
 from typing import Any
@@ -35,6 +37,20 @@ def provenance(
         "settings": plain,
         "settings_sha256": settings_hash(plain),
         "inputs": dict(sorted((hashes or {}).items())),
+    }
+
+
+def report_head(form: str) -> dict[str, Any]:
+    """Begin a ``report.json`` of the format `form`: software, and when it was written."""
+    return {
+        "format": form,
+        "version": 1,
+        "software": {
+            "name": "splitknit",
+            "version": provenance()["version"],
+            "python": platform.python_version(),
+        },
+        "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
 
 

@@ -7,10 +7,8 @@ input.
 
 from __future__ import annotations
 
-import datetime
 import json
 import os
-import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -29,7 +27,7 @@ from splitknit.io.atomic import atomic_folder, make_folder, write_file
 from splitknit.io.images import write_float_tiff, write_image
 from splitknit.io.pictures import ColourArray, colour, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
-from splitknit.io.provenance import plain_json, provenance
+from splitknit.io.provenance import plain_json, provenance, report_head
 from splitknit.io.results import (
     albedo_bytes,
     normals_picture,
@@ -173,14 +171,7 @@ def _facts(
     unit = result.unit
     area_px = int(np.count_nonzero(result.mask))
     return {
-        "format": "splitknit-report",
-        "version": 1,
-        "software": {
-            "name": "splitknit",
-            "version": provenance()["version"],
-            "python": platform.python_version(),
-        },
-        "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        **report_head("splitknit-report"),
         "preset": result.preset,
         "capture": (
             {}
