@@ -257,7 +257,7 @@ def zstd_tiff(image: np.ndarray, **tags: Any) -> bytes:
 def test_kinds_of_tiff_by_zstandard_are_decoded_or_refused(capfd):
     image = smooth((30, 20, 4))
     np.testing.assert_array_equal(decode_image(zstd_tiff(image), "x"), image[..., :3])
-    with pytest.raises(BadInput, match="stored turned and compressed by Zstandard"):
+    with pytest.raises(BadInput, match="or stored turned"):
         decode_image(zstd_tiff(image, tag274=6), "x")
     data = bytearray(zstd_tiff(np.zeros((300, 400), np.uint8)))
     with tifffile.TiffFile(io.BytesIO(data)) as file:

@@ -350,15 +350,12 @@ def decode_pixels(data: bytes, header: Header, name: str) -> NDArray[Any]:
 
 def _by_pillow(data: bytes, header: Header, name: str) -> NDArray[Any]:
     """Pixels (H, W, C) of a TIFF file that OpenCV cannot decompress."""
-    require(
-        header.orientation == 1,
-        f"{name} is stored turned and compressed by Zstandard, which is not read; save it as PNG.",
-    )
-    with refusing(f"{name} is damaged: its image data cannot be decoded; copy it again."), _QUIET:
+    damaged = f"{name} is damaged, or stored turned; copy it again, or save it as PNG."
+    with refusing(damaged), _QUIET:
         picture = TiffImageFile(io.BytesIO(data))
-        sizes = picture.size == (header.columns, header.rows)
-        pixels = np.asarray(picture) if sizes else np.empty(0)  # nothing is decoded of other sizes
-        return pixels.reshape(header.rows, header.columns, -1)
+        same = picture.size == (header.columns, header.rows) and header.orientation == 1
+        require(same, damaged)  # before memory is taken
+        return np.asarray(picture).reshape(header.rows, header.columns, -1)
 
 
 _MAX_SCANS = 100
