@@ -245,6 +245,8 @@ def _images() -> list[Files]:
                     stream, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack", **more
                 )
                 tiffs.append(stream.getvalue())
+    kinds = _noise(20, 24), _noise(33, 24, 3), _noise(20, 24, kind=np.uint16)
+    tiffs += [encode_image(pixels, ".tiff", compress=True) for pixels in kinds]
     smooth = cv2.GaussianBlur(_noise(40, 48, 3), (9, 9), 3)
     jpegs = [
         cv2.imencode(".jpg", pixels, options)[1].tobytes()
@@ -396,6 +398,7 @@ def _captures() -> list[Files]:
     return [
         _folder(lambda to: write_capture(first, to, truth)),
         _folder(lambda to: write_capture(second, to)),
+        _folder(lambda to: write_capture(second, to, images="tiff")),
     ]
 
 

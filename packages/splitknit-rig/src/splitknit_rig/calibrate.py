@@ -65,7 +65,7 @@ def calibrate_camera(
     rig
         Rig file whose other parts are kept.
     pattern
-        Only files of this name, such as 'left*.jpg', or 'board_*/white_0.png' in capture folders
+        Only files of this name, such as 'left*.jpg', or 'board_*/white_0.tiff' in capture folders
         (default: all).
     board
         Inner corners each way, as 9x6.

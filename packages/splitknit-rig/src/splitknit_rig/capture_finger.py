@@ -177,7 +177,7 @@ def capture(
     asks = device == "pi" and sys.stdin.isatty()
     how = CaptureOptions(
         override(
-            SessionSettings(),
+            SessionSettings(images="tiff"),
             {name.removeprefix("capture."): value for name, value in session_changes.items()},
         ),
         material="opaque" if target is not None else "skin",

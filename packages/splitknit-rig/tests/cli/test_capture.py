@@ -183,11 +183,21 @@ def test_foreign_files_and_earlier_captures_are_not_overwritten(done, tmp_path, 
     assert "mine" in refused(capsys, "--out", mine, *SMALL)
     assert "not an earlier capture" in refused(capsys, "--out", mine, *SMALL, "--overwrite")
     assert (mine / "diary.txt").read_text() == "x"
-    before = (done / "white_0.png").read_bytes()
+    before = (done / "white_0.tiff").read_bytes()
     assert "exists and is not empty" in refused(capsys, "--out", done, *SMALL)
-    assert (done / "white_0.png").read_bytes() == before
+    assert (done / "white_0.tiff").read_bytes() == before
     assert run("--out", tmp_path / "a", "--scale", 0.05) == 0
     assert run("--out", tmp_path / "a", "--scale", 0.05, "--overwrite", "--seed", 2) == 0
+
+
+def test_png_files_hold_the_same_pixels(done, tmp_path):
+    """By name: a rig's files are TIFF files unless PNG is asked for."""
+    assert run("--out", tmp_path / "png", *SMALL, *PERSON, "--set", "capture.images=png") == 0
+    ours, theirs = read_capture(done), read_capture(tmp_path / "png")
+    assert {Path(name).suffix for name in ours.bands["white"].files} == {".tiff"}
+    assert {Path(name).suffix for name in theirs.bands["white"].files} == {".png"}
+    for name, band in ours.bands.items():
+        np.testing.assert_array_equal(band.pixels, theirs.bands[name].pixels)
 
 
 @pytest.mark.parametrize(
@@ -237,7 +247,7 @@ class TestEnrolment:
         assert (facts["finished"], facts["total"]) == (3, 8)
         assert facts["next"] == "S02/session_1/left_thumb"
         kept = folder / "S01" / "session_1" / "right_index"
-        stamp = (kept / "white_0.png").stat().st_mtime_ns
+        stamp = (kept / "white_0.tiff").stat().st_mtime_ns
 
         with monkeypatch.context():
             faults(dead=frozenset({0}))
@@ -251,7 +261,7 @@ class TestEnrolment:
         assert session["captured"] == ["S02/session_2/right_index", "S02/session_2/left_thumb"]
         assert run(*words) == 0
         assert "All fingers are captured." in capsys.readouterr().out
-        assert (kept / "white_0.png").stat().st_mtime_ns == stamp
+        assert (kept / "white_0.tiff").stat().st_mtime_ns == stamp
         assert len(list(folder.glob("S*/session_*/*/capture.json"))) == 8
         capture = read_capture(folder / "S02" / "session_2" / "left_thumb")
         assert capture.subject == {"id": "S02", "finger": "left_thumb", "session": 2}

@@ -47,7 +47,8 @@ def assert_same(a: Capture, b: Capture) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_a_written_capture_is_read_back(dtype, channels, tmp_path, build_capture):
+@pytest.mark.parametrize("images", ["png", "tiff"])
+def test_a_written_capture_is_read_back(dtype, channels, images, tmp_path, build_capture):
     mask = np.zeros((40, 30), dtype=bool)
     mask[5:30, 4:20] = True
     capture = build_capture(
@@ -70,9 +71,10 @@ def test_a_written_capture_is_read_back(dtype, channels, tmp_path, build_capture
     )
     capture = replace(capture, bands={**capture.bands, "white": white})
     truth = {"height_mm": np.ones((3, 4), np.float32), "mask": np.ones((3, 4), bool)}
-    write_capture(capture, tmp_path / "c", truth)
+    write_capture(capture, tmp_path / "c", truth, images=images)
     again = read_capture(tmp_path / "c")
     assert_same(capture, again)
+    assert {file.suffix[1:] for file in (tmp_path / "c").glob("*_[0-9]*")} == {images}
     assert again.truth == tmp_path / "c" / "truth.npz"
     np.testing.assert_array_equal(read_npz(again.truth)["height_mm"], truth["height_mm"])
     assert again.hashes == {
@@ -80,7 +82,7 @@ def test_a_written_capture_is_read_back(dtype, channels, tmp_path, build_capture
         for name in (tmp_path / "c").iterdir()
         if name.name not in ("truth.npz", ".splitknit")
     }
-    write_capture(again, tmp_path / "d")
+    write_capture(again, tmp_path / "d", images=images)
     assert_same(again, read_capture(tmp_path / "d" / "capture.json"))
     assert (tmp_path / "d" / "truth.npz").read_bytes() == again.truth.read_bytes()
     assert (tmp_path / "d" / "capture.json").read_bytes() == (
@@ -371,6 +373,21 @@ def test_a_capture_that_could_not_be_read_back_is_not_written(tmp_path, build_ca
     refused("group of LEDs", rig=capture.rig.select([[0, 1], [2]]))
     refused("does not exist", truth=tmp_path / "no.npz")
     refused("no form in JSON", subject={"age": float("nan")})
+
+
+def test_a_tiff_file_that_is_not_the_one_written_is_refused(tmp_path, build_capture):
+    """TIFF files have no checksums: of a bit that changes within one, nothing else is seen."""
+    folder = tmp_path / "c"
+    write_capture(build_capture(), folder, images="tiff")
+    file = folder / "white_1.tiff"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    assert read_image(file).size > 0
+    with pytest.raises(BadInput, match=r"white_1\.tiff is damaged or was changed"):
+        read_capture(folder)
+    edit(folder / "capture.json", lambda document: document["sha256"].pop("white_1.tiff"))
+    read_capture(folder)
 
 
 def test_a_capture_is_not_overwritten_unless_asked(folder, build_capture):

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 from png_files import PNG, chunk
 from splitknit.errors import BadInput
@@ -231,6 +232,51 @@ def test_compressed_tiff_of_libtiff_is_decoded(dtype, compression, predictor):
     options = [cv2.IMWRITE_TIFF_COMPRESSION, compression, cv2.IMWRITE_TIFF_PREDICTOR, predictor]
     data = cv2.imencode(".tif", image[..., ::-1], options)[1].tobytes()
     np.testing.assert_array_equal(decode_image(data, "x"), image)
+
+
+@pytest.mark.parametrize("shape", [(40, 50), (40, 50, 1), (40, 50, 3)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_compressed_tiff_keeps_pixels_and_bytes_and_is_refused_where_it_is_cut(dtype, shape, capfd):
+    image = smooth(shape, dtype)
+    data = encode_image(image, ".tiff", compress=True)
+    assert encode_image(image, ".tiff", compress=True) == data
+    np.testing.assert_array_equal(decode_image(data, "x"), image.reshape(40, 50, -1))
+    for length in range(8, len(data) - 200, 97):
+        with pytest.raises(BadInput, match=r"^shot\.tif"):
+            decode_image(data[:length], "shot.tif")
+    assert capfd.readouterr().err == ""
+
+
+def zstd_tiff(image: np.ndarray, **tags: Any) -> bytes:
+    stream = io.BytesIO()
+    tiff_tags = {int(tag.removeprefix("tag")): value for tag, value in tags.items()}
+    Image.fromarray(image).save(stream, "TIFF", compression="zstd", tiffinfo=tiff_tags)
+    return stream.getvalue()
+
+
+def test_kinds_of_tiff_by_zstandard_are_decoded_or_refused(capfd):
+    image = smooth((30, 20, 4))
+    np.testing.assert_array_equal(decode_image(zstd_tiff(image), "x"), image[..., :3])
+    with pytest.raises(BadInput, match="or stored turned"):
+        decode_image(zstd_tiff(image, tag274=6), "x")
+    data = bytearray(zstd_tiff(np.zeros((300, 400), np.uint8)))
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        tag = file.pages.first.tags["ImageWidth"]
+        twice = tag.offset
+        other = file.pages.first.tags["ImageLength"].offset
+    data[other : other + 2] = data[twice : twice + 2]  # two widths, which readers may take apart
+    with pytest.raises(BadInput):
+        decode_image(bytes(data), "x")
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.slow
+def test_a_bomb_of_zstandard_is_refused_before_memory_is_taken():
+    data = bytearray(zstd_tiff(np.zeros((300, 400), np.uint8)))
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        width = file.pages.first.tags["ImageWidth"]
+    struct.pack_into("<HII", data, width.offset + 2, 4, 1, 500_000)
+    assert peak_bytes_of_refusal(bytes(data), "which cannot be in") < 3_000_000
 
 
 def test_tiff_with_alpha_or_white_as_zero_is_decoded():

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -9,7 +10,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.networks import unet
-from splitknit.networks.unet import card_bytes, load_network, read_network
+from splitknit.networks.unet import FORMAT, load_network, read_network
 
 TINY = Path(__file__).parent / "tiny.onnx"
 
@@ -19,6 +20,12 @@ def copy(tmp_path: Path) -> Path:
     for suffix in (".onnx", ".json"):
         shutil.copy(TINY.with_suffix(suffix), tmp_path / f"net{suffix}")
     return tmp_path / "net.onnx"
+
+
+def write_card(weights: Path, **sizes: int) -> None:
+    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+    card = {"format": FORMAT, "version": 1, "name": "net", "sha256": digest, **sizes}
+    weights.with_suffix(".json").write_text(json.dumps(card))
 
 
 def test_a_network_is_read_with_its_card():
@@ -67,8 +74,7 @@ def test_data_outside_the_file_are_refused(copy, tmp_path, monkeypatch):
     graph = message((1, node), (2, "g"), (5, outside), *ends)
     data = message((1, 8), (7, graph), (8, message((1, ""), (2, 17))))
     copy.write_bytes(data)
-    facts = {"channels_in": 1, "channels_out": 1, "stride": 1, "reach": 0}
-    copy.with_suffix(".json").write_bytes(card_bytes("net", data, facts))
+    write_card(copy, channels_in=1, channels_out=1, stride=1, reach=0)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "values").write_bytes(bytes(4 * 64 * 64))
     with pytest.raises(BadInput, match="may refer to data outside its file"):
@@ -121,8 +127,8 @@ def test_a_damaged_card_is_refused(copy, text):
 def test_weights_that_are_not_onnx_are_refused(copy):
     copy.write_bytes(b"no network at all")
     card = json.loads(copy.with_suffix(".json").read_text())
-    facts = {name: card[name] for name in ("channels_in", "channels_out", "stride", "reach")}
-    copy.with_suffix(".json").write_bytes(card_bytes("net", copy.read_bytes(), facts))
+    sizes = ("channels_in", "channels_out", "stride", "reach")
+    write_card(copy, **{name: card[name] for name in sizes})
     with pytest.raises(BadInput, match="are not a network from one image to one image"):
         load_network(copy)
 

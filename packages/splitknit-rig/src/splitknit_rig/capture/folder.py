@@ -76,7 +76,8 @@ def capture_to_folder(
         )
         if devices.name == "pi":
             capture = replace(capture, captured_at=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
-        write_capture(capture, target, devices.truth, overwrite=True)
+        images = options.settings.images
+        write_capture(capture, target, devices.truth, overwrite=True, images=images)
         (target / MARKER).write_text(json_text(facts), encoding="utf-8")
     if verdict:
         raise Refused(f"{verdict} (kept in '{out}' because of `keep`).", {**facts, "out": str(out)})

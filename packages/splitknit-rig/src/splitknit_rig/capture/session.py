@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -60,6 +61,8 @@ class SessionSettings:
     find_finger: bool = True
     """False for calibration targets: the whole picture counts, and motion and focus are not
     judged."""
+    images: Literal["png", "tiff"] = "png"
+    """Kind of the images' files, see :func:`splitknit.write_capture`; the verb takes ``tiff``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,12 +20,13 @@ def check_contents(bands: Collection[Band]) -> None:
     """Refuse bands as :func:`check_content`, and images with the same pixels (noise differs);
     BadInput names both."""
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(check_content, bands))
+        samples = list(pool.map(check_content, bands))
     seen: dict[bytes, tuple[Band, int]] = {}
-    for band in bands:
-        for k, image in enumerate(band.pixels):
-            first, j = seen.setdefault(_sample(image).tobytes(), (band, k))
-            same = (first is not band or j != k) and np.array_equal(first.pixels[j], image)
+    for band, of_band in zip(bands, samples, strict=True):
+        for k, sample in enumerate(of_band):
+            first, j = seen.setdefault(sample.tobytes(), (band, k))
+            other = first is not band or j != k
+            same = other and np.array_equal(first.pixels[j], band.pixels[k])
             require(
                 not same,
                 f"{image_name(first, j)} and {image_name(band, k)} hold the same pixels: "
@@ -33,15 +34,17 @@ def check_contents(bands: Collection[Band]) -> None:
             )
 
 
-def check_content(band: Band) -> None:
-    """Refuse a band in which an image is black, unlit, without any structure, or overexposed.
+def check_content(band: Band) -> list[NDArray[Any]]:
+    """Samples (C, n) of a band's images; refuse it where one is black, unlit, without any
+    structure, or overexposed.
 
     An overexposed pixel is one in which two of the three channels are clipped: with one channel
     clipped (red, on light skin) the others still carry the shading. Raises BadExposure naming the
     file and its LED.
     """
     ambient = _ambient_light(band)
-    peaks = np.array([_check_image(band, k, ambient) for k in range(len(band.pixels))])
+    samples = [_sample(band.pixels, k) for k in range(len(band.pixels))]
+    peaks = np.array([_check_image(band, k, each, ambient) for k, each in enumerate(samples)])
     scaled = peaks / band.exposure
     # a short exposure is dark, but lit
     fraction = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))
@@ -53,12 +56,14 @@ def check_content(band: Band) -> None:
             " again.",
             BadExposure,
         )
+    return samples
 
 
-def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> float:
+def _check_image(
+    band: Band, k: int, sample: NDArray[Any], ambient: NDArray[np.float32] | None
+) -> float:
     """Return the light of the bright pixels of image k as a fraction of the full scale."""
     scale = float(np.iinfo(band.pixels.dtype).max)
-    sample = _sample(band.pixels[k])
     black = np.float32(band.black_level[k])
     most = int(sample.max())
     name = image_name(band, k)
@@ -104,7 +109,7 @@ def _ambient_light(band: Band) -> NDArray[np.float32] | None:
     if band.ambient is None:
         return None
     dark = band.ambient
-    ambient = _sample(dark.pixels) - np.float32(dark.black_level)
+    ambient = _sample(dark.pixels[None], 0) - np.float32(dark.black_level)
     ambient *= np.float32(1.0 / (float(np.iinfo(dark.pixels.dtype).max) * dark.exposure))
     return ambient if len(ambient) == band.pixels.shape[3] else ambient.mean(axis=0, keepdims=True)
 
@@ -141,12 +146,12 @@ SAMPLE_PIXELS = 200_000
 200. Chosen on: speed."""
 
 
-def _sample(image: PixelArray) -> NDArray[Any]:
-    """Pixels (C, n) on a regular grid."""
-    step = max(1, round(sqrt(image.shape[0] * image.shape[1] / SAMPLE_PIXELS)))
-    return np.ascontiguousarray(np.moveaxis(image[::step, ::step], 2, 0)).reshape(
-        image.shape[2], -1
-    )
+def _sample(stack: PixelArray, k: int) -> NDArray[Any]:
+    """Pixels (C, n) of image k on a regular grid."""
+    _, rows, columns, channels = stack.shape
+    step = max(1, round(sqrt(rows * columns / SAMPLE_PIXELS)))
+    image = stack[k, ::step][:, ::step]
+    return np.ascontiguousarray(np.moveaxis(image, 2, 0)).reshape(channels, -1)
 
 
 def image_name(band: Band, k: int) -> str:

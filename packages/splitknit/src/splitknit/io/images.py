@@ -1,7 +1,7 @@
 """Pictures in and out: 8- or 16-bit PNG, TIFF and JPEG, grey or RGB, as (H, W, C) integers.
 
 Pillow and tifffile read what a file states, so that sizes are known before memory is taken; OpenCV
-decodes the pixels, but for those of uncompressed TIFF files.
+decodes the pixels, but for those of TIFF files that are uncompressed, or compressed by Zstandard.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from PIL import Image
 from PIL.BmpImagePlugin import BmpImageFile
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
+from PIL.TiffImagePlugin import TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
 from splitknit.errors import refusing, require
@@ -58,6 +59,10 @@ _ALPHA = (1, 2)
 """Alpha, associated or not. Source: TIFF 6.0, tag ExtraSamples."""
 _STRIPS = (273, 279, 324, 325)
 """Tags of the places and lengths of strips and of tiles. Source: TIFF 6.0."""
+_PREDICTOR = 317
+"""Tag of TIFF; 2: differences along rows. Source: TIFF 6.0."""
+_ZSTD = 50000
+"""Tag Compression of TIFF: Zstandard. Source: libtiff 4.0.10."""
 _CM_PER_INCH = 2.54
 """Centimetres in an inch. Source: definition of the inch."""
 
@@ -329,7 +334,9 @@ def decode_pixels(data: bytes, header: Header, name: str) -> NDArray[Any]:
         _check_whole(data, name)
         pixels = decoded(data, name)
         return pixels[..., ::3] if header.channels == 1 and pixels.shape[2] == 4 else pixels
-    if page.compression == 1:
+    if page.compression == _ZSTD:
+        pixels = _by_pillow(data, header, name)
+    elif page.compression == 1:
         with refusing(f"{name} is damaged: a part of its image is missing; copy it again."), _QUIET:
             pixels = page.asarray(maxworkers=1).reshape(header.rows, header.columns, -1)
     else:
@@ -339,6 +346,16 @@ def decode_pixels(data: bytes, header: Header, name: str) -> NDArray[Any]:
     turned = page.compression != 1 and header.dtype == np.uint8  # by OpenCV
     inverted = page.photometric == 0 and not turned and header.dtype.kind == "u"
     return np.asarray(np.iinfo(header.dtype).max - pixels) if inverted else pixels
+
+
+def _by_pillow(data: bytes, header: Header, name: str) -> NDArray[Any]:
+    """Pixels (H, W, C) of a TIFF file that OpenCV cannot decompress."""
+    damaged = f"{name} is damaged, or stored turned; copy it again, or save it as PNG."
+    with refusing(damaged), _QUIET:
+        picture = TiffImageFile(io.BytesIO(data))
+        same = picture.size == (header.columns, header.rows) and header.orientation == 1
+        require(same, damaged)  # before memory is taken
+        return np.asarray(picture).reshape(header.rows, header.columns, -1)
 
 
 _MAX_SCANS = 100
@@ -525,8 +542,12 @@ def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:
     write_file(path, encode_image(pixels, Path(path).suffix.lower()))
 
 
-def encode_image(pixels: PixelArray, suffix: str) -> bytes:
-    """Return the bytes of a ``.png`` or ``.tif``/``.tiff`` file; see :func:`write_image`."""
+def encode_image(pixels: PixelArray, suffix: str, *, compress: bool = False) -> bytes:
+    """Return the bytes of a ``.png`` or ``.tif``/``.tiff`` file; see :func:`write_image`.
+
+    `compress`: a TIFF file by Zstandard, smaller than a PNG file and read in a third of its time;
+    colours of 16 bits, which Pillow does not know, stay uncompressed.
+    """
     array: NDArray[Any] = np.asarray(pixels)
     good = array.dtype in (np.uint8, np.uint16) and (
         array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (1, 3))
@@ -547,7 +568,12 @@ def encode_image(pixels: PixelArray, suffix: str) -> bytes:
         suffix in (".tif", ".tiff"),
         f"images are written as .png, .tif or .tiff, not as '{suffix}'.",
     )
-    return encode_tiff(array)
+    if not compress or (array.ndim == 3 and array.dtype == np.uint16):
+        return encode_tiff(array)
+    stream = io.BytesIO()
+    differences = {_PREDICTOR: 2}
+    Image.fromarray(array).save(stream, "TIFF", compression="zstd", tiffinfo=differences)
+    return stream.getvalue()
 
 
 def png_bytes(image: NDArray[Any], strategy: int, row_filter: int) -> bytes:

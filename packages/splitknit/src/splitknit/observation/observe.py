@@ -173,7 +173,7 @@ def _grey_as_grey(band: Band, rig: Rig) -> Band:
 
     colour = band.pixels.shape[-1] == 3 and not rig.colours_of(band.leds)
     # a coarse look first, which nearly all coloured images end at
-    if not colour or not equal(band.pixels[0][::16, ::16]):
+    if not colour or not equal(band.pixels[0, ::16][:, ::16]):
         return band
     if not every_equal(16) or not every_equal(1):
         return band
