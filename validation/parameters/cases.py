@@ -368,10 +368,6 @@ CASES = {
         ("splitknit.finger.mask",),
         lambda: found_finger({"background.colour": (0.2, 0.4, 0.6, 0.5)}, {}),
     ),
-    "equalised": Case(
-        ("splitknit.finger.phalange",),
-        lambda: found_finger({}, {"cut_at_crease": "equalised"}),
-    ),
     "moved": Case(
         ("splitknit.finger.motion", "splitknit.finger.registration", "splitknit.finger.steady"),
         lambda: found_finger({"motion.amplitude_mm": 0.5}, {}),
