@@ -265,7 +265,6 @@ def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, An
         {"shapelets.scales": 4},
         {"shape.source": "white"},
         {"direct.method": "none"},
-        {"direct.from_colours": True},
         {"normals.method": "robust"},
     ],
 )

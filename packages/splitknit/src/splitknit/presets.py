@@ -40,9 +40,6 @@ class DirectSettings(Checked):
     """``network`` (the thesis's U-Net) or ``none``."""
     network: str = "direct"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
-    from_colours: bool = False
-    """Estimate the fraction of direct light from colour images where there are any; the thesis uses
-    grey images."""
 
 
 @dataclass(frozen=True, slots=True)
