@@ -103,12 +103,6 @@ def first_body(front: OutlineRows, lateral: Mapping[str, OutlineRows], rays: Tou
     return replace(body, coefficients=coefficients)
 
 
-_CUT = (
-    "cut off at the mirror's edge or the picture's: lay the finger in the middle, so that the"
-    " mirror shows all of its pad."
-)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MirrorShape:
     """A finger's shape from its outlines."""
@@ -210,7 +204,8 @@ def mirror_shape(
     }
     require(
         lateral,
-        f"the view in the {' and the '.join(known)} mirror is {_CUT}",
+        f"the view in the {' and the '.join(known)} mirror is cut off at the mirror's edge or the"
+        " picture's: lay the finger in the middle, so that the mirror shows all of its pad.",
     )
     first = next(iter(lateral))
     poses = {name: Pose(outline.turn_rad) for name, outline in outlines.items()}
