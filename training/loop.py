@@ -4,7 +4,9 @@ card (torch)."""
 from __future__ import annotations
 
 import copy
+import hashlib
 import io
+import json
 import math
 import shutil
 import tempfile
@@ -19,7 +21,7 @@ from torch import nn
 
 from splitknit.errors import BadInput
 from splitknit.io.csv_table import csv_text
-from splitknit.networks.unet import card_bytes, network_of, read_network, run_network
+from splitknit.networks.unet import FORMAT, network_of, read_network, run_network
 from splitknit.workers import run_jobs
 
 FIELDS = 32  # fields that `relief` and `shape` see, the first of a sample
@@ -405,6 +407,9 @@ def write_network(out, name, training, what, channels, depth, facts):  # noqa: P
     """Write `NAME.onnx` and its card; check that onnxruntime computes what torch does."""
     weights = onnx_bytes(training.network, channels[0], 2**depth)
     head = {
+        "format": FORMAT,
+        "version": 1,
+        "name": name,
         "channels_in": channels[0],
         "channels_out": channels[1],
         "stride": 2**depth,
@@ -414,7 +419,9 @@ def write_network(out, name, training, what, channels, depth, facts):  # noqa: P
     }
     file = out / f"{name}.onnx"
     file.write_bytes(weights)
-    file.with_suffix(".json").write_bytes(card_bytes(name, weights, {**head, **facts}))
+    card = {**head, "sha256": hashlib.sha256(weights).hexdigest(), **facts}
+    text = json.dumps(card, indent=1, allow_nan=False) + "\n"
+    file.with_suffix(".json").write_text(text, encoding="utf-8")
     sides = (1, channels[0], 10 * 2**depth, 11 * 2**depth)
     probe = np.random.default_rng(0).uniform(-0.3, 0.3, sides).astype(np.float32)
     exported = run_network(network_of(*read_network(file)), probe)

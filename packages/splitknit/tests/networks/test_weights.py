@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -9,9 +10,16 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.networks import unet
-from splitknit.networks.unet import card_bytes, load_network, read_network
+from splitknit.networks.unet import FORMAT, load_network, read_network
 
 TINY = Path(__file__).parent / "tiny.onnx"
+
+
+def write_card(file: Path, facts: dict[str, int]) -> None:
+    """The card of weights as they are stored."""
+    sha256 = hashlib.sha256(file.read_bytes()).hexdigest()
+    head = {"format": FORMAT, "version": 1, "name": "net", "sha256": sha256}
+    file.with_suffix(".json").write_text(json.dumps({**head, **facts}))
 
 
 @pytest.fixture
@@ -68,7 +76,7 @@ def test_data_outside_the_file_are_refused(copy, tmp_path, monkeypatch):
     data = message((1, 8), (7, graph), (8, message((1, ""), (2, 17))))
     copy.write_bytes(data)
     facts = {"channels_in": 1, "channels_out": 1, "stride": 1, "reach": 0}
-    copy.with_suffix(".json").write_bytes(card_bytes("net", data, facts))
+    write_card(copy, facts)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "values").write_bytes(bytes(4 * 64 * 64))
     with pytest.raises(BadInput, match="may refer to data outside its file"):
@@ -122,7 +130,7 @@ def test_weights_that_are_not_onnx_are_refused(copy):
     copy.write_bytes(b"no network at all")
     card = json.loads(copy.with_suffix(".json").read_text())
     facts = {name: card[name] for name in ("channels_in", "channels_out", "stride", "reach")}
-    copy.with_suffix(".json").write_bytes(card_bytes("net", copy.read_bytes(), facts))
+    write_card(copy, facts)
     with pytest.raises(BadInput, match="are not a network from one image to one image"):
         load_network(copy)
 

@@ -80,20 +80,6 @@ def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
     return card, weights
 
 
-def card_bytes(name: str, weights: bytes, facts: Mapping[str, Any]) -> bytes:
-    """The card of `weights` as stored, of `facts` with ``channels_in``, ``channels_out``,
-    ``stride``, ``reach``."""
-    head = {
-        "format": FORMAT,
-        "version": 1,
-        "name": name,
-        "sha256": hashlib.sha256(weights).hexdigest(),
-    }
-    data = (json.dumps({**head, **facts}, indent=1, allow_nan=False) + "\n").encode()
-    _parse(data, Path(f"{name}.json"), "correct the facts")
-    return data
-
-
 def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]:
     """Paths of weights and card, and the remedy for messages."""
     text = os.fspath(name)
