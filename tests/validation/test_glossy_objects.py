@@ -149,3 +149,37 @@ def test_what_the_outline_leaves_out_is_said(shape: str, part: float, finish) ->
         assert left_out == pytest.approx(part, abs=0.05)
         stated = float(words[0].split("leaves out ")[1].split(" %")[0]) / 100
         assert stated == pytest.approx(left_out, abs=0.06)
+
+
+@pytest.mark.parametrize("name", ["steel ring", "satin bowl", "brass egg"])
+def test_another_order_is_found_on_metal(name: str) -> None:
+    """Least squares of the highlights showed none on a photographed coin and a ball of lacquer."""
+    target = GLOSSY.photographed(*GLOSSY.THINGS[name])
+    result = measured(replace(target, lights=target.lights[::-1]))
+    (advice,) = (str(each) for each in result.findings if each.code == "light-order")
+    numbers = " ".join(str(k) for k in range(len(target.lights), 0, -1))
+    assert numbers in advice
+
+
+@pytest.mark.parametrize("brightness", [0.4, 2.2])
+def test_one_odd_lamp_of_sixteen_is_taken_out_alone(brightness: float) -> None:
+    """The others outvote it, so that the misfit of all photographs hardly shows it."""
+    target = GLOSSY.photographed("egg", GLOSSY.WAX, 16)
+    odd = (0.4 * target.images).astype(np.uint16)
+    odd[5] = (0.4 * brightness * target.images[5]).astype(np.uint16)
+    result = measured(replace(target, images=odd))
+    lamps = np.array(result.facts["light_brightness"])
+    assert np.delete(lamps, 5) == pytest.approx(lamps[0], abs=0.002)
+    assert lamps[5] / lamps[0] == pytest.approx(brightness, rel=0.05)
+
+
+def test_heights_of_what_is_not_matt_have_an_uncertain_factor() -> None:
+    matt, satin = (
+        measured(GLOSSY.photographed("bowl", finish, 20)) for finish in (GLOSSY.MATT, GLOSSY.SATIN)
+    )
+    assert matt.facts["height_factor_sd"] < 0.1 < satin.facts["height_factor_sd"]
+    assert "height-factor" not in codes(matt)
+    assert codes(satin)["height-factor"] == Severity.NOTE
+    depth_um = 1000 * np.ptp(satin.height_mm[satin.mask])
+    largest_um = np.nanmax(satin.uncertainty_um[satin.mask])
+    assert 0.1 * depth_um < largest_um < 0.5 * depth_um

@@ -234,10 +234,12 @@ def test_near_lights_need_their_light_at_every_place():
         for lights, images in variants
     ]
     errors = [np.abs(flow).max() for flow in flows]
-    assert errors[1] < 0.005
-    assert errors[0] > 2 * errors[1]
+    # 0.29 mm under one light vector a shot; where the steps end within 0.002 to 0.009 mm of the
+    # truth depends on noise of 1e-7 and on the processor
+    assert errors[1] < 0.02
+    assert errors[0] > 10 * errors[1]
     # a trace of noise moves next to nothing: no steps in what is minimised
-    assert np.abs(flows[2] - flows[1]).max() < 0.005
+    assert np.abs(flows[2] - flows[1]).max() < 0.02
 
 
 def test_details_vary_with_the_shift_without_steps():

@@ -14,6 +14,7 @@ from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.pixels import bin_mean
+from splitknit.imaging.robust import deviation
 from splitknit.imaging.view import view_of
 from splitknit.model import Array, FloatArray
 from splitknit.observation.light import Light
@@ -47,6 +48,10 @@ class Limits:
     are taken out unasked only within the next two limits."""
     several_fold: float = 3.0  # brightest over dimmest lamp
     turned_deg: float = 10.0  # turn of the normals of a matt surface, median
+    odd: float = 0.5
+    """Logarithm of one lamp's brightness over the others', from which it is taken out alone: up to
+    0.27 on DiLiGenT's bear and ball, whose other lamps agree within 0.01."""
+    agreeing: float = 0.1  # robust deviation of the other lamps' logarithms, at most
     alike: float = 1.3  # misfit of unequal lights over that of gloss up to which both are possible
     simpler: float = 1.5
     """Misfit without gloss over that with it up to which there is none."""
@@ -82,22 +87,29 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
     lights, in each colour, where nobody stated it and it is clearly unequal; facts and findings. A
     doubt instead where it was stated otherwise, or where no hypothesis explains the photographs.
     """
-    if band.flattened or len(band.lights) <= LEAST_PHOTOGRAPHS:
+    if len(band.lights) <= LEAST_PHOTOGRAPHS:
         return band, {}, []
     rig = band.rig
     (grey, *colours), lights = sampled(band, finger)
     if grey.shape[1] < LIMITS.fewest:
         return band, {}, []
     fits = hypotheses(grey, lights)
+    facts: dict[str, Any] = {"matt_misfit": round(fits["matt"].misfit, 4)}
+    if band.flattened:
+        return band, facts, []
     equal, unequal = _fitting(fits, "matt", "glossy"), _fitting(fits, "unequal", "both")
     spread = float(unequal.gains.std())
     clear = equal.misfit > LIMITS.better * unequal.misfit
     clear &= LIMITS.spread < spread
     clear &= spread < LIMITS.no_lamps or unequal.misfit < LIMITS.sure
     asked = rig.provenance.get("intensities") == "estimate"
+    lamps = unequal.gains - np.median(unequal.gains)
+    odd = np.abs(lamps) > LIMITS.odd
+    if not (asked or clear) and odd.any() and deviation(lamps) < LIMITS.agreeing:
+        clear, lamps = True, np.where(odd, lamps, 0.0)
     if not (asked or clear):
-        return band, {}, _unexplained(fits, equal, rig.intensities_assumed)
-    gains = np.exp(unequal.gains.astype(np.float64))
+        return band, facts, _unexplained(fits, equal, rig.intensities_assumed)
+    gains = np.exp(lamps.astype(np.float64))
     relative = gains / gains.mean()
     turned_deg = median_angle_deg(fits["matt"].normals.T, unequal.normals.T)
     effect = f"which turns the surface by {turned_deg:.1f} deg (median)"
@@ -116,7 +128,8 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
             f"{seem}; give `brightness` estimate, or as fourth numbers of the list (`intensities`),"
             f" in its order: {' '.join(f'{each:.3f}' for each in listed / listed.mean())}."
         )
-        return band, {}, [Finding("unequal-lights", words, Severity.DOUBT, effect_deg=turned_deg)]
+        doubt = Finding("unequal-lights", words, Severity.DOUBT, effect_deg=turned_deg)
+        return band, facts, [doubt]
     each = "; ".join(
         f"{name} {gain:.2f}" for name, gain in zip(band.image_names, relative, strict=True)
     )
@@ -131,7 +144,10 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
             f"the brightness of the lights was estimated and taken out as was asked, {effect}, but"
             f" the photographs do not show it clearly; shine and shadow look so too: {each}."
         )
-    facts = {"light_brightness": [round(float(gain), 3) for gain in relative]}
+    facts = {
+        "light_brightness": [round(float(gain), 3) for gain in relative],
+        "matt_misfit": round(fits["unequal"].misfit, 4),
+    }
     finding = Finding("estimated-brightness", words, severity, effect_deg=turned_deg)
     return band.divided_by(gains[:, None] * _of_colours(grey, colours)), facts, [finding]
 

@@ -48,6 +48,11 @@ CODES: dict[str, Code] = {
         "The object shines, and a lobe of gloss is fitted with its surface.",
         "Mask one material where several differ.",
     ),
+    "height-factor": Code(
+        "The object is not matt: all its heights may be off by one factor.",
+        "Compare a height that you know.",
+        "errors over the stated deviation: rms 0.84 on 24 objects of which two are real",
+    ),
     "no-surface": Code(
         "The slopes that were measured belong to no surface.", "Check the lights' directions."
     ),

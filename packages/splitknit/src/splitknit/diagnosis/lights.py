@@ -67,7 +67,10 @@ def with_places_by_ground(
         for led, (x, y, z) in zip(leds, places.tolist(), strict=True)
     }
     rig = replace(observation.rig, leds=tuple(moved.get(led, led) for led in observation.rig.leds))
-    facts = {"light_places_mm": np.round(places, 2).tolist()}
+    facts = {
+        "light_places_mm": np.round(places, 2).tolist(),
+        "light_places_sd": round(interval_mm / 1.96 / distance_mm, 4),
+    }
     words = NEAR.format(fit.dome_mm[3], interval_mm)
     return observation.under(rig), facts, [Finding("near-lights", words)]
 
