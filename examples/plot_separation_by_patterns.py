@@ -7,8 +7,7 @@ places of the checks help::
 
     python examples/plot_separation_by_patterns.py --out pictures
 
-With real images, put them in a folder and use the command line: ``splitknit separate FOLDER --out
-DIR``.
+With real images, put them in a folder: ``python training/patterns.py FOLDER --out DIR``.
 """
 
 from __future__ import annotations
@@ -22,13 +21,12 @@ import numpy as np
 from splitknit.io.images import write_image
 from splitknit.model import Camera
 from splitknit.nominal import default_rig
-from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import Separation
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.skin import SkinOptics
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "training"))
 
+from patterns import Separation, checkerboard
 from projector import (
     Checkerboard,
     checkerboard_stack,

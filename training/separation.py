@@ -21,13 +21,13 @@ import cv2
 import numpy as np
 
 from palms import draw_palm, palm_surface
+from patterns import checkerboard
 from projector import Checkerboard, checkerboard_stack, separate_truth
 from scenes import HELD_OUT_FROM
 from splitknit.finger.contrast import ClaheSettings, clahe
 from splitknit.imaging.pixels import GREY_WEIGHTS
 from splitknit.model import Camera, Led
 from splitknit.nominal import default_rig
-from splitknit.separation.binary import checkerboard
 from splitknit.separation.direct import exposure_level, local_level
 from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings, record
 from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface

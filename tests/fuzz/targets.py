@@ -56,7 +56,6 @@ from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Camera, Led, Rig
 from splitknit.networks.unet import load_network
-from splitknit.observation.patterns import read_light
 from splitknit.observation.plain import capture_from_photographs, read_flat
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
@@ -841,23 +840,6 @@ def _radiometric(folder: Path, files: Files) -> object:
     )
 
 
-def _patterns() -> list[Files]:
-    images = {
-        f"board_{i}_{j}.png": encode_image(_noise(8, 9, seed=i + 5 * j), ".png")
-        for i in (0, 2)
-        for j in (0, 2)
-    }
-    singles = {
-        name: encode_image(_noise(8, 9, seed=8) // 20, ".png")
-        for name in ("black.png", "white.png")
-    }
-    return [{**images, **singles}]
-
-
-def _pattern(folder: Path, files: Files) -> None:
-    read_light(folder)
-
-
 # --- the surface inside a page
 # -----------------------------------------------------------------------------------
 
@@ -1033,6 +1015,5 @@ TARGETS = (
     ),
     Target("light_table", _tips, _of_bytes(_tipped)),
     Target("radiometry", _radiometry, _radiometric),
-    Target("patterns", _patterns, _pattern),
     Target("result_in_page", _pages, _drawn),
 )

@@ -9,13 +9,13 @@ import pytest
 
 from splitknit.model import Camera
 from splitknit.nominal import default_rig
-from splitknit.separation.binary import checkerboard
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.skin import SkinOptics
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
 
+from patterns import checkerboard
 from projector import (
     Checkerboard,
     checkerboard_stack,

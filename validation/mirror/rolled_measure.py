@@ -34,7 +34,7 @@ def measure(folder: Path) -> dict[str, Any]:
     """Roll a capture and compare it with its truth."""
     capture = read_capture(folder)
     chosen = preset_settings("metric")
-    views = find_mirror_views(capture, chosen, chosen.shape.mirror)
+    views = find_mirror_views(capture, chosen)
     rolled = rolled_finger(capture, views, MetricSettings())
     front = front_alone(rolled)
     with np.load(folder / "truth.npz") as arrays:

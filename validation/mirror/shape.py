@@ -24,12 +24,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+from ellipses import Ellipses, ellipses
 
 from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.mirrors.captured import found_views, skin_slopes
 from splitknit.mirrors.mirror import MirrorShape, mirror_shape
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
 from splitknit.model import Mirror
 from splitknit.observation.observe import observe
@@ -61,7 +61,7 @@ CASES: dict[str, tuple[str, tuple[str, ...], bool, bool]] = {
 mirrors are off."""
 
 
-def rms_mm(shape: MirrorShape, truth: Mapping[str, Any]) -> float:
+def rms_mm(shape: MirrorShape | Ellipses, truth: Mapping[str, Any]) -> float:
     """Of the shape against the truth, mean removed."""
     _, _, z = shape.points(slice(None), slice(None))
     common = np.isfinite(z) & truth["mask"]
@@ -97,7 +97,6 @@ def in_cases(
     seen: dict[bool, Any] = {}
     for case, (method, mirrors, with_slopes, off) in CASES.items():
         taken = replace(capture, rig=rigs[off])
-        own = MirrorShapeSettings(method=method)
         try:
             if off not in seen:
                 seen[off] = found_views(observe(taken))
@@ -108,7 +107,11 @@ def in_cases(
             slopes_on = (
                 partial(skin_slopes, observe(taken).white.rig, grey, views) if with_slopes else None
             )
-            shape = mirror_shape(part, taken.rig, own, slopes_on=slopes_on)
+            shape = (
+                ellipses(part, taken.rig)
+                if method == "thesis"
+                else mirror_shape(part, taken.rig, slopes_on=slopes_on)
+            )
             yield case, rms_mm(shape, truth)
         except BadInput as error:
             yield case, str(error)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -31,22 +29,12 @@ from splitknit.model import Rig
 from splitknit.nominal import default_rig
 from splitknit.presets import PipelineSettings, chosen_settings
 from splitknit.reconstruction import Reconstruction
-from splitknit.separation.binary import checkerboard
 from splitknit.settings import override
 from splitknit.skin.grid import Grid
 from splitknit.skin.polarised import SpecularImages, polarised_heights
 from splitknit_simulator.finger.finger import FingerPose
 from splitknit_simulator.scene import TwinSettings
-from splitknit_simulator.twin import lay_down, simulate_capture
-
-sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
-
-from projector import (
-    Checkerboard,
-    checkerboard_stack,
-    pattern_states,
-    separate_truth,
-)
+from splitknit_simulator.twin import simulate_capture
 
 Truth = Mapping[str, NDArray[Any]]
 
@@ -64,10 +52,6 @@ STRIP_MM = 2.6
 """Length of the strip, from the finger's middle to its side, on which films are measured."""
 RING = 7
 """White lights around the camera; those after them stand at the finger's side."""
-CHECK_MM = 0.6
-"""Side of a projected check."""
-STACK_NOISE = 0.002
-"""Standard deviation of the noise of a stack under checks, over its brightest pixel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,7 +308,7 @@ def on_grid(field: NDArray[Any], grid: Grid, rig: Rig) -> NDArray[np.float32]:
     )
 
 
-# The shape from mirrors, and the thesis's separation of light.
+# The shape from mirrors, and direct light by the network.
 
 
 def mirrors(seed: int) -> Measure:
@@ -364,41 +348,6 @@ def direct_by_network() -> Measure:
     return measure
 
 
-def checks() -> Measure:
-    """Direct light of a finger under shifted checks, by their known states and without them."""
-    settings = whole_settings({})
-    surface, drawn = lay_down(SEED, None, settings)
-    led = drawn.rig.leds[0]
-    board = Checkerboard(CHECK_MM)
-    medium = drawn.skin.medium("white")
-    stack = checkerboard_stack(surface, led, medium, board, settings.render)
-    true = separate_truth(
-        surface, led, medium, check_mm=CHECK_MM, settings=settings.render, phases="centred"
-    )
-    bright = float(stack.max())
-    noise = np.random.default_rng(SEED).standard_normal(stack.shape, dtype=np.float32)
-    light = np.moveaxis(np.clip(0.9 * stack / bright + STACK_NOISE * noise, 0, None), 1, -1)
-    direct = np.moveaxis(0.9 * true.direct / bright, 0, -1)
-    states = pattern_states(surface, led, board)[(slice(None), *true.window)]
-    mask = surface.mask[true.window]
-    check_px = CHECK_MM / drawn.rig.camera.pitch_mm
-
-    def measure() -> Outcome:
-        parts = [
-            checkerboard(light, mask=mask),
-            checkerboard(light, mask=mask, patterns=states),
-            checkerboard(light, mask=mask, patterns=states, check_px=check_px),
-        ]
-        names = ("extremes", "states", "checks")
-        figures = {
-            f"direct_error_{name}": rms((part.direct - direct)[mask]) / rms(direct[mask])
-            for name, part in zip(names, parts, strict=True)
-        }
-        return outcome(figures, [part.direct for part in parts])
-
-    return measure
-
-
 FINDING = tuple(
     f"splitknit.finger.{name}"
     for name in (
@@ -418,10 +367,6 @@ CASES = {
     "paper": Case(
         ("splitknit.finger.mask",),
         lambda: found_finger({"background.colour": (0.2, 0.4, 0.6, 0.5)}, {}),
-    ),
-    "equalised": Case(
-        ("splitknit.finger.phalange",),
-        lambda: found_finger({}, {"cut_at_crease": "equalised"}),
     ),
     "moved": Case(
         ("splitknit.finger.motion", "splitknit.finger.registration", "splitknit.finger.steady"),
@@ -445,6 +390,5 @@ CASES = {
     "mirrors": Case(("splitknit.mirrors",), lambda: mirrors(SEED)),
     "other between mirrors": Case(("splitknit.mirrors",), lambda: mirrors(OTHER_SEED)),
     "snk": Case(("splitknit.separation", "splitknit.finger.contrast"), direct_by_network),
-    "checks": Case(("splitknit.separation",), checks),
 }
 """All captures, by name."""

@@ -11,6 +11,7 @@ from unittest import mock
 
 import numpy as np
 from ablation_light import in_grey, true_shares, twin_of, without_glare
+from from_colours import direct_of_enhanced
 
 from splitknit import pipeline
 from splitknit.accuracy import compare
@@ -22,7 +23,6 @@ from splitknit.model import FloatArray
 from splitknit.observation.observe import observe
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.reconstruction import Reconstruction
-from splitknit.separation.direct import direct_of_enhanced
 from splitknit.settings import override
 
 FIGURES = (

@@ -36,10 +36,9 @@ from patches import (
     truth_of,
 )
 
+from patterns import Separation, checkerboard, estimate_patterns
 from projector import Checkerboard, Separated
 from splitknit.model import Led
-from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import Separation, estimate_patterns
 
 HERE = Path(__file__).resolve().parent
 CHECKS_MM = (0.11, 0.21, 0.42, 0.85)

@@ -31,8 +31,8 @@ from patches import (
     truth_of,
 )
 
+from patterns import checkerboard
 from projector import Checkerboard
-from splitknit.separation.binary import checkerboard
 
 CHECK_MM = 0.42
 TABLE = Path(__file__).with_name("tables") / "nayar.csv"

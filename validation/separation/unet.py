@@ -19,9 +19,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from from_colours import direct_of_enhanced
 
 from splitknit.networks.unet import Network, load_network
-from splitknit.separation.direct import direct_light, direct_of_enhanced
+from splitknit.separation.direct import direct_light
 
 HERE = Path(__file__).resolve().parent
 sys.path.append(str(HERE.parents[1] / "training"))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import numpy as np
 
 from splitknit.capture import Band, Capture
 from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.reflection import Glass, Plane
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
 from splitknit.model import Camera, Led, Mirror, Rig
 from splitknit_match.rolled.views import MirrorView, MirrorViews
@@ -176,18 +176,16 @@ def _photographed(
     return Capture(rig, {"white": band}, material="opaque"), masks
 
 
-def body_between_mirrors(
-    views: Views, rig: Rig, settings: MirrorShapeSettings | None = None
-) -> SimpleNamespace:
+def body_between_mirrors(views: Views, rig: Rig) -> SimpleNamespace:
     """What the outlines determine: body, planes of the mirrors that are used, and which views are
     cut, or useless."""
-    shape = mirror_shape(views, rig, settings, cut_too=True)
+    shape = mirror_shape(views, rig, cut_too=True)
     planes = {
         mirror.name: shape.plane(mirror) for mirror in rig.mirrors if mirror.name in shape.fit.poses
     }
     cut = tuple(name for name in shape.facts["views_cut_off"] if name in planes)
     return SimpleNamespace(
-        body=shape.model, planes=planes, cut=cut, useless=tuple(shape.facts["views_useless"])
+        body=shape.fit.body, planes=planes, cut=cut, useless=tuple(shape.facts["views_useless"])
     )
 
 
@@ -195,8 +193,8 @@ def views_of(capture: Capture, masks: dict[str, np.ndarray]) -> MirrorViews:
     """All views with their true masks and mirrors, and the body that fits their outlines."""
     built = {mirror.name: mirror for mirror in capture.rig.mirrors}
     sides = {name: mask for name, mask in masks.items() if name != "front"}
-    ellipse = MirrorShapeSettings(squareness=0.0)
-    body = body_between_mirrors(Views(masks["front"], sides, 1), capture.rig, settings=ellipse).body
+    with patch("splitknit.mirrors.mirror.SQUARENESS", 0.0):  # ellipses
+        body = body_between_mirrors(Views(masks["front"], sides, 1), capture.rig).body
     glasses = {
         name: Glass(
             name,

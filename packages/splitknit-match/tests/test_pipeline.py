@@ -265,7 +265,6 @@ def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, An
         {"shapelets.scales": 4},
         {"shape.source": "white"},
         {"direct.method": "none"},
-        {"direct.from_colours": True},
         {"normals.method": "robust"},
     ],
 )
@@ -362,7 +361,7 @@ def test_presets_that_share_a_located_finger_are_what_they_are_alone(capture: Ca
         assert shared.warnings == alone.warnings
         assert shared.quality == alone.quality
     with pytest.raises(BadInput, match="located by other settings"):
-        reconstruct(finger, "ea", {"yaw": "all_rows"})
+        reconstruct(finger, "ea", {"cut_at_crease": False})
 
 
 def test_unknown_presets_settings_and_bands_are_refused(capture: Capture) -> None:

@@ -12,7 +12,6 @@ import rolled_scene as scene
 from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.finger.locate import FingerSettings
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.skin.images import MetricSettings
 from splitknit_match.prints.rolled import _coverage_deg
 from splitknit_match.rolled.finger import Rolled, rolled_finger
@@ -133,4 +132,4 @@ def test_captures_without_white_light_or_mirrors_are_refused() -> None:
     ):
         capture = Capture(replace(rig, mirrors=mirrors), {}, material="opaque")
         with pytest.raises(BadInput, match=words):
-            find_mirror_views(capture, FingerSettings(), MirrorShapeSettings())
+            find_mirror_views(capture, FingerSettings())

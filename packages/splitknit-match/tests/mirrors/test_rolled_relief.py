@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from splitknit.finger.locate import FingerSettings
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.skin.images import MetricSettings
 from splitknit_match.rolled.finger import Work
 from splitknit_match.rolled.register import ridges_of
@@ -22,7 +21,7 @@ def test_a_camera_of_15_px_per_mm_shows_the_ridges_in_front_and_in_the_mirror() 
     capture, truth = simulate_capture(11, None, TwinSettings(scale=0.35, mirrors=mirrors))
     px_per_mm = capture.rig.camera.px_per_mm
     assert px_per_mm < 17  # the network has learned 25 and more
-    views = find_mirror_views(capture, FingerSettings(), MirrorShapeSettings())
+    views = find_mirror_views(capture, FingerSettings())
     work = Work(capture, views, MetricSettings())
     for name, prefix, least in (("front", "", 0.75), ("left", "view_left_", 0.6)):
         view = work.reliefs[name]

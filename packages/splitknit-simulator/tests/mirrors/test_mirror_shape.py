@@ -12,7 +12,6 @@ import pytest
 from mirrored import Scene, scene, turned
 from splitknit.errors import BadInput
 from splitknit.mirrors.mirror import mirror_shape
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
 
 
@@ -52,14 +51,6 @@ def test_a_misplaced_mirror_is_located(finger, turn, lean, shift):
         assert finger.rms_mm(shape) < 0.25
         for name in names:
             assert shape.facts["poses"][name]["turn_deg"] == pytest.approx(-turn, abs=0.3)
-
-
-def test_the_method_of_the_thesis_gives_a_coarser_shape(finger):
-    thesis = MirrorShapeSettings(method="thesis")
-    first = mirror_shape(only(finger.views, "left"), finger.rig, thesis)
-    assert finger.rms_mm(first) < 0.35
-    assert first.facts["method"] == "thesis"
-    assert np.isfinite(first.points(slice(None), slice(None))[2]).sum() > 0.85 * finger.mask.sum()
 
 
 def test_views_of_two_fingers_are_refused(finger):

@@ -11,7 +11,6 @@ from splitknit.finger.contrast import ClaheSettings
 from splitknit.finger.locate import FingerSettings
 from splitknit.integration.knit import KnitSettings
 from splitknit.integration.shapelets import ShapeletSettings
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.observation.coloured import LightsSettings
 from splitknit.registry import own_object
 from splitknit.settings import Checked, Limits, check_fields, differing, override
@@ -41,9 +40,6 @@ class DirectSettings(Checked):
     """``network`` (the thesis's U-Net) or ``none``."""
     network: str = "direct"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
-    from_colours: bool = False
-    """Estimate the fraction of direct light from colour images where there are any; the thesis uses
-    grey images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +74,6 @@ class ShapeSettings(Checked):
     source: Literal["nir", "white", "mirror"] = "nir"
     """``nir`` (the white band where there is none), ``white``, or ``mirror``: outlines in mirrors
     beside the finger."""
-    mirror: MirrorShapeSettings = field(default_factory=MirrorShapeSettings)
-    """How the last is done."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ VERBS = {
     "reconstruct": (CORE, "turn a capture folder, photographs or a normal map into a surface"),
     "separate": (
         CORE,
-        "split images under fine patterns into direct and global light, or polarised ones",
+        "split a photograph of skin into direct and global light, or polarised ones",
     ),
     "capture": (RIG, "photograph a finger under all LEDs: with the rig, or with its twin"),
     "calibrate": (RIG, "measure a rig: its camera, its lights, its sensor, its films"),

@@ -60,8 +60,8 @@ class Checked:
     is checked.
 
     Messages name a field with the name of its group before it: the class's name in snake case
-    (``MaskSettings``: ``mask``), or its ``_group``, which may be empty. A class with rules between
-    fields has its own ``__post_init__``, which calls ``check_fields(self)`` first.
+    (``HeightSettings``: ``height``), or its ``_group``, which may be empty. A class with rules
+    between fields has its own ``__post_init__``, which calls ``check_fields(self)`` first.
 
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True, slots=True)

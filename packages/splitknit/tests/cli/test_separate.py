@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from checkerboards import checkerboard_patterns
 from splitknit.cli.main import main
 from splitknit.io.images import read_image, write_image
 from splitknit.separation.direct import direct_light
@@ -17,10 +16,8 @@ from written_files import read_light_tiff
 
 SIZE = (40, 50)
 ROWS, COLUMNS = np.mgrid[: SIZE[0], : SIZE[1]]
-DIRECT = 0.2 * (1 + 0.3 * np.sin(ROWS / 9))
 GLOBAL = 0.4 + 0.1 * np.cos(COLUMNS / 17)
 STEP = 1 / 65535
-SHIFTS = [(2 * i, 2 * j) for i in range(5) for j in range(5)]
 
 
 def stored(light: Any, full: int = 65535) -> Any:
@@ -32,19 +29,6 @@ def write(folder: Path, images: dict[str, Any]) -> Path:
     for name, light in images.items():
         write_image(folder / name, stored(light))
     return folder
-
-
-@pytest.fixture
-def boards(tmp_path: Path) -> Path:
-    """25 shifted checkerboards over a black level, with a white image, named by their shifts."""
-    patterns = checkerboard_patterns(SIZE, 5, SHIFTS)
-    images = {
-        f"board_{i}_{j}.png": p * DIRECT + 0.5 * GLOBAL + 0.03
-        for (i, j), p in zip(SHIFTS, patterns, strict=True)
-    }
-    images["black.png"] = np.full(SIZE, 0.03)
-    images["white.png"] = DIRECT + GLOBAL + 0.03
-    return write(tmp_path / "boards", images)
 
 
 def run(*words: Any) -> int:
@@ -63,37 +47,6 @@ def refusal(capsys: pytest.CaptureFixture[str], out: Path, *words: Any) -> str:
     return printed.err
 
 
-def test_checkerboards_of_a_folder_give_direct_and_global_light(boards, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert run(boards, "--out", out, "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
-    direct, metadata = read_light_tiff(out / "direct.tiff")
-    global_, _ = read_light_tiff(out / "global.tiff")
-    assert np.abs(direct - DIRECT).max() < 3 * STEP
-    assert np.abs(global_ - GLOBAL).max() < 4 * STEP
-    assert facts["method"] == "checkerboard"
-    assert len(facts["images"]) == 25
-    assert "black.png" in facts["inputs"]
-    assert metadata["inputs"] == facts["inputs"]
-    assert facts["findings"] == []
-    assert sorted(path.name for path in out.iterdir() if path.name[0] != ".") == sorted(
-        facts["files"]
-    )
-    report = json.loads((out / "report.json").read_text())
-    assert (
-        report["direct_share"]
-        == facts["direct_share"]
-        == pytest.approx(np.median(DIRECT / (DIRECT + GLOBAL)), 0.02)
-    )
-    preview = read_image(out / "direct.png")
-    assert preview.shape == (*SIZE, 1)
-    assert preview.max() == 255
-    first = {name: (out / name).read_bytes() for name in facts["files"] if name != "report.json"}
-    assert run(boards, "--out", out) == 0  # ours may be replaced; same input, same bytes
-    assert {name: (out / name).read_bytes() for name in first} == first
-    assert "direct in the median" in capsys.readouterr().out
-
-
 def test_the_network_separates_one_photograph(tmp_path, capsys):
     rows, columns = np.mgrid[:96, :96]
     grey = 0.4 + 0.1 * np.sin(rows / 3) * np.cos(columns / 40)
@@ -103,7 +56,7 @@ def test_the_network_separates_one_photograph(tmp_path, capsys):
     for name, light in (("grey", grey), ("colour", colour)):
         photograph = write(tmp_path / name, {"finger.png": light, "mask.png": mask})
         out = tmp_path / f"out_{name}"
-        assert run(photograph, "--out", out, "--method", "network") == 0
+        assert run(photograph, "--out", out) == 0
         direct, metadata = read_light_tiff(out / "direct.tiff")
         global_, _ = read_light_tiff(out / "global.tiff")
         inside = mask > 0
@@ -119,74 +72,24 @@ def test_the_network_separates_one_photograph(tmp_path, capsys):
             shown = np.where(inside[..., None], light, 0)
             expected = np.moveaxis(direct_light(np.moveaxis(shown, -1, 0)[None])[0], 0, -1)
         assert np.abs(direct - expected)[inside].max() < 1e-3
-    assert "1 image separated by network" in capsys.readouterr().out
+    assert "of the light is direct in the median" in capsys.readouterr().out
 
 
-def test_the_network_takes_one_photograph_and_no_patterns(boards, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert "takes one photograph, but there are 25 (board_0_0" in refusal(
-        capsys, out, boards, "--method", "network"
-    )
-    words = refusal(capsys, out, boards, "--method", "network", "--alpha", 0.5)
-    assert "--alpha is of patterns" in words
-
-
-def test_patterns_are_estimated_or_read_and_a_mask_is_respected(boards, tmp_path):
-    patterns = checkerboard_patterns(SIZE, 5, SHIFTS)
-    states = write(tmp_path / "states", {f"s_{k:02}.png": p for k, p in enumerate(patterns)})
-    mask = np.zeros(SIZE)
-    mask[5:30, 8:40] = 1
-    write_image(boards / "mask.png", stored(mask))
-    for choice, kind in ((states, "given"), ("estimate", "estimate")):
-        out = tmp_path / f"out_{kind}"
-        assert run(boards, "--out", out, "--patterns", choice) == 0
-        direct, metadata = read_light_tiff(out / "direct.tiff")
-        assert np.array_equal(np.isnan(direct), mask == 0)
-        assert np.nanmax(np.abs(direct - DIRECT)) < 3 * STEP
-        assert metadata["settings"]["separate"]["patterns"] == kind
-
-
-def test_known_states_need_the_size_of_checks_for_skin(boards, tmp_path, capsys):
-    """Skin is where it matters, and what is in the images the verb cannot know; the size alone is
-    enough for it."""
-    written = {}
-    for number, words in enumerate((("--patterns", "estimate"), ("--check-px", 5))):
-        out = tmp_path / f"out_{number}"
-        assert run(boards, *words, "--out", out, "--json") == 0
-        facts = json.loads(capsys.readouterr().out)
-        assert ("give check_px for skin" in str(facts["findings"])) == ("--check-px" not in words)
-        assert facts["settings"]["separate"]["patterns"] == "estimate"
-        written[number] = read_light_tiff(out / "direct.tiff")[0]
-        assert np.abs(written[number] - DIRECT).max() < 4 * STEP
-    assert not np.array_equal(written[0], written[1])
-    assert "5 pixels or more" in refusal(capsys, tmp_path / "x", boards, "--check-px", 4)
-
-
-def test_negative_global_light_gets_a_note(boards, tmp_path, capsys):
-    assert run(boards, "--dark", 0.8, "--out", tmp_path / "out") == 0
-    assert "Please note: global light is negative" in capsys.readouterr().out
-
-
-def test_refusals_of_a_stack_name_the_file(boards, tmp_path, capsys):
-    out, board = tmp_path / "out", boards / "board_0_4.png"
-    good = board.read_bytes()
-    write_image(board, stored(np.full(SIZE, 0.03)))
-    assert "image 2 (board_0_4.png) is black" in refusal(capsys, out, boards)
-    write_image(board, stored(np.full((40, 51), 0.3)))
-    assert "board_0_4.png has 40 x 51 pixels" in refusal(capsys, out, boards)
-    board.write_bytes(good[: len(good) // 2])
-    assert "board_0_4.png" in refusal(capsys, out, boards)
-    board.write_bytes(good)
-    write_image(boards / "board_2_0.png", stored(np.full(SIZE, 1.0)))
-    assert "saturated" in refusal(capsys, out, boards)
-    assert "alpha must lie" in refusal(capsys, out, boards, "--alpha", 0)
-    assert "not a folder of patterns" in refusal(
-        capsys, out, boards, "--patterns", tmp_path / "none"
-    )
-    assert "not a folder" in refusal(capsys, out, tmp_path / "none")
-    (tmp_path / "empty").mkdir()
-    assert "holds no PNG, TIFF or JPEG" in refusal(capsys, out, tmp_path / "empty")
-    assert "holds the input itself" in refusal(capsys, boards, boards)
+def test_one_photograph_is_taken_from_its_file_or_folder(tmp_path, capsys):
+    light = np.broadcast_to(0.3 + 0.1 * np.sin(np.arange(64) / 3), (64, 64))
+    folder, out = write(tmp_path / "one", {"finger.png": light}), tmp_path / "out"
+    assert run(folder, "--out", out) == run(folder / "finger.png", "--out", tmp_path / "other") == 0
+    assert "35 % of the light is direct in the median" in capsys.readouterr().out
+    assert (out / "direct.tiff").read_bytes() == (tmp_path / "other/direct.tiff").read_bytes()
+    assert "holds the input itself" in refusal(capsys, folder, folder)
+    write(folder, {"mask.png": np.ones((32, 64))})
+    assert "mask.png has 32 x 64 pixels" in refusal(capsys, tmp_path / "x", folder)
+    (folder / "mask.png").unlink()
+    write_image(folder / "finger.png", stored(np.zeros((64, 64))))
+    assert "finger.png is black" in refusal(capsys, tmp_path / "x", folder)
+    write(folder, {"second.png": light})
+    assert "holds 2 photographs" in refusal(capsys, tmp_path / "x", folder)
+    assert "cannot be read" in refusal(capsys, tmp_path / "x", tmp_path / "none")
 
 
 def polarised(root: Path, count: int = 3) -> tuple[Path, Path]:
@@ -226,10 +129,7 @@ def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path, capsy
 def test_polarised_series_that_do_not_match_are_refused(tmp_path, capsys):
     parallel, crossed = polarised(tmp_path)
     out = tmp_path / "out"
-    assert "name one folder" in refusal(capsys, out, parallel, crossed)
-    assert "with --out and --encoding alone" in refusal(
-        capsys, out, "polarised", parallel, crossed, "--alpha", 0.5
-    )
+    assert "name one photograph" in refusal(capsys, out, parallel, crossed)
     assert "is not a folder" in refusal(capsys, out, "polarised", parallel, tmp_path / "none")
     write(crossed, {"through_1.png": GLOBAL[:20]})
     short = (crossed / "through_1.png").read_bytes()[:50]
@@ -249,6 +149,6 @@ def test_one_photograph_of_8_bits_is_taken_as_srgb(tmp_path):
     write_image(folder / "finger.png", pixels)
     for options, encoding in (([], "srgb"), (["--encoding", "linear"], "linear")):
         out = tmp_path / encoding
-        assert run(folder, "--out", out, "--method", "network", *options) == 0
+        assert run(folder, "--out", out, *options) == 0
         report = json.loads((out / "report.json").read_text())
         assert report["settings"]["separate"]["encoding"] == encoding

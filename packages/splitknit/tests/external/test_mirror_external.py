@@ -12,7 +12,6 @@ import pytest
 from splitknit.capture import Band, Capture
 from splitknit.io.images import read_image
 from splitknit.mirrors.captured import SeenInMirrors, seen_in_mirrors
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import Camera, Led, Mirror, Rig
 from splitknit.observation.observe import observe
 
@@ -73,7 +72,7 @@ def capture(data_dir: Path) -> Capture:
 
 @pytest.fixture(scope="module")
 def seen(capture: Capture) -> SeenInMirrors:
-    return seen_in_mirrors(observe(capture), MirrorShapeSettings())
+    return seen_in_mirrors(observe(capture))
 
 
 def reprojected(seen: SeenInMirrors, name: str, points: np.ndarray) -> np.ndarray:
@@ -134,6 +133,6 @@ def test_the_finger_is_distinguished_from_its_mirror_images(capture, seen):
 
 def test_one_mirror_is_enough_for_a_shape(capture):
     rig = replace(capture.rig, mirrors=capture.rig.mirrors[:1])
-    alone = seen_in_mirrors(observe(replace(capture, rig=rig)), MirrorShapeSettings())
+    alone = seen_in_mirrors(observe(replace(capture, rig=rig)))
     assert alone.shape.facts["mirrors"] == ["left"]
     assert alone.shape.facts["outline_rms_mm"]["left"] < 0.1

@@ -71,16 +71,6 @@ def test_region_and_outline_give_the_mask_of_one_step(draw_finger, disturbance):
     assert overlap(outline, finger_mask(scene.rgb, scene.px_per_mm)) > 0.99
 
 
-@pytest.mark.parametrize("tone", ["medium", "very light"])
-def test_kmeans_segments_as_the_thesis_does(draw_finger, tone):
-    scene = draw_finger(tone)
-    plain = finger_mask(scene.rgb, scene.px_per_mm, "kmeans")
-    assert plain.shape == scene.mask.shape
-    assert overlap(plain, scene.mask) > 0.95
-    np.testing.assert_array_equal(plain, fill_holes(largest_component(plain)))
-    assert (plain != finger_mask(scene.rgb, scene.px_per_mm)).any()
-
-
 def test_region_and_outline_refuse_what_one_step_refuses(draw_finger):
     scene = draw_finger("medium", px_per_mm=20.0)
     with pytest.raises(BadInput, match="no finger was found"):

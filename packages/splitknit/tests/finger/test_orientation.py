@@ -43,14 +43,6 @@ def test_yaw_tip_and_upright_frame_follow_the_finger(draw_finger, yaw, tip):
     )
 
 
-def test_all_rows_give_the_yaw_of_the_thesis(draw_finger):
-    scene = draw_finger("medium", yaw_deg=8.0, tip_at=(0.0, 10.0), noise=0.0)
-    usual, every = (find_upright(scene.mask, 0.0, all_rows=all_rows) for all_rows in (False, True))
-    assert every.reliable
-    assert np.rad2deg(every.yaw_rad) == pytest.approx(8.0, abs=1.5)
-    assert every.yaw_rad != usual.yaw_rad
-
-
 @pytest.mark.parametrize("yaw", [20.0, 35.0, -45.0])
 def test_the_yaw_of_a_short_finger_cut_by_the_border_is_right(draw_finger, yaw):
     scene = draw_finger(

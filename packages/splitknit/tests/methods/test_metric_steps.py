@@ -167,12 +167,15 @@ class TestOpaque:
 
     def test_its_facts_name_the_band_of_the_shape_and_the_material(self):
         surface = metric.opaque_surface(dome("metric"), METRIC)
+        factor = surface.facts["height_factor_sd"]
         assert surface.facts == {
             "shape_source": "white",
             "separation": metric.OPAQUE,
             "heights": "measured",
+            "height_factor_sd": factor,
         }
-        assert surface.uncertainty_um is None
+        assert np.isfinite(surface.uncertainty_um[surface.height_mm > 0]).all()
+        assert factor > 0
 
     def test_a_near_infrared_band_is_named_for_its_shape(self):
         both = with_nir(dome("metric"), 2)

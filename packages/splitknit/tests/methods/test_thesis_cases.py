@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dome_photographs import COLOUR, PX_PER_MM, dome, stored_as, under, with_nir
+from dome_photographs import PX_PER_MM, dome, stored_as, under, with_nir
 from splitknit.capture import Ambient
 from splitknit.imaging.geometry import smoothed
 from splitknit.integration.knit import crossover
@@ -245,11 +245,6 @@ class TestDirectLight:
         monkeypatch.setattr(
             thesis, "direct_light", lambda images, network: calls.update(grey=(images, network))
         )
-        monkeypatch.setattr(
-            thesis,
-            "direct_of_enhanced",
-            lambda images, colours, network: calls.update(colours=(images, colours, network)),
-        )
         return calls
 
     def direct(self, **changes):
@@ -258,27 +253,11 @@ class TestDirectLight:
     def test_it_is_asked_for_on_the_skin_alone(self, bands, asked):
         white = bands[0]
         images = np.ones((8, *white.inside.shape), dtype=np.float32)
-        direct = self.direct(from_colours=False)
+        direct = self.direct()
         thesis._direct_images(images, white, direct)
         seen, network = asked["grey"]
         np.testing.assert_array_equal(seen, images * white.inside)
         assert network == direct.network
-
-    def test_colours_help_where_there_are_some(self, asked):
-        white = dome(colour=COLOUR).white_and_nir(EA, 0.0)[0]
-        images = np.ones((8, *white.inside.shape), dtype=np.float32)
-        thesis._direct_images(images, white, self.direct(from_colours=True))
-        seen, colours, _ = asked["colours"]
-        assert colours.shape == (8, 3, *white.inside.shape)
-        np.testing.assert_array_equal(seen, images * white.inside)
-        assert (colours[:, :, ~white.inside] == 0).all()
-        ratio = colours[0][:, 20, 20] / COLOUR
-        np.testing.assert_allclose(ratio / ratio[0], 1.0, atol=0.02)
-
-    def test_grey_photographs_have_no_colours_to_help(self, bands, asked):
-        images = np.ones((8, *bands[0].inside.shape), dtype=np.float32)
-        thesis._direct_images(images, bands[0], self.direct(from_colours=True))
-        assert "colours" not in asked
 
     @pytest.mark.parametrize(
         ("method", "material", "words"),

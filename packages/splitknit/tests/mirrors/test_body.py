@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -150,6 +151,7 @@ def test_a_posed_mirror_turns_leans_and_shifts():
 def test_a_view_that_does_not_agree_is_reported():
     misfit = {"front": np.full(9, 0.03), "left": np.full(9, 0.2)}
     fit = Fit(None, {}, misfit, {name: np.ones(9) for name in misfit})  # type: ignore[arg-type]
-    (finding,) = MirrorShape(CAMERA, None, {}, {}, fit).findings  # type: ignore[arg-type]
+    (finding,) = MirrorShape(CAMERA, fit, {}, {}, {}).findings
     assert str(finding).startswith("the left view's outline agrees with the others to 0.20 mm only")
-    assert MirrorShape(CAMERA, None, {}).findings == ()  # type: ignore[arg-type]
+    agreeing = replace(fit, misfit_mm={name: np.full(9, 0.03) for name in misfit})
+    assert MirrorShape(CAMERA, agreeing, {}, {}, {}).findings == ()

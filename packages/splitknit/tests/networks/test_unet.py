@@ -21,7 +21,6 @@ from splitknit.networks.unet import (
 )
 from splitknit.separation.direct import (
     direct_light,
-    direct_of_enhanced,
     exposure_level,
     local_level,
 )
@@ -263,17 +262,3 @@ def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline():
 
 def test_direct_light_of_a_black_image_is_black(network):
     assert (direct_light(np.zeros((1, 3, 16, 16), dtype=np.float32), network) == 0).all()
-
-
-def test_enhanced_images_get_the_direct_fraction_of_the_colour_images(network, images):
-    enhanced = np.sqrt(images.mean(axis=1))
-    weights = np.array([0.299, 0.587, 0.114])[:, None, None]
-    fraction = (direct_light(images, network) * weights).sum(axis=1) / (images * weights).sum(
-        axis=1
-    )
-    assert np.ptp(fraction) > 0.05
-    np.testing.assert_allclose(
-        direct_of_enhanced(enhanced, images, network), enhanced * fraction, rtol=1e-4, atol=1e-6
-    )
-    with pytest.raises(BadInput, match="do not match"):
-        direct_of_enhanced(enhanced[:1], images, network)

@@ -47,7 +47,7 @@ def print_around(
         capture = read_capture(path)
         chosen = preset_settings(preset)
         progress("views", 0.08)
-        views = find_mirror_views(capture, chosen, chosen.shape.mirror)
+        views = find_mirror_views(capture, chosen)
         rolled = rolled_finger(
             capture,
             views,

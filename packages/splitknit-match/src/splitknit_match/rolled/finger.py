@@ -14,8 +14,8 @@ from splitknit import Capture
 from splitknit.findings import Finding, Severity, worst_first
 from splitknit.imaging.geometry import smoothed
 from splitknit.mirrors.body import Body
+from splitknit.mirrors.mirror import SQUARENESS
 from splitknit.mirrors.reflection import Glass
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.observe import observe
 from splitknit.skin.grid import smooth_step
@@ -402,8 +402,7 @@ def _rolled_pad(body: Body, chart: Chart, radius_mm: Array) -> Array:
     squareness k and roll phi the pad of k sin^2(2 w) / 4 of the radius turns by phi, to first order
     -phi k sin(4 w) / 2: nothing at the outlines of front and sides, all of it between them.
     """
-    expected = MirrorShapeSettings().squareness
-    flat = 0.5 * (body.squareness + expected)  # the fit takes a rolled pad for a round one
+    flat = 0.5 * (body.squareness + SQUARENESS)  # the fit takes a rolled pad for a round one
     roll = float(np.clip(ROLL_OF_SHEAR * body.shear, -_MAX_ROLL_RAD, _MAX_ROLL_RAD))
     turned = np.where(np.abs(chart.angle_rad) < 0.5 * np.pi, np.sin(4.0 * chart.angle_rad), 0.0)
     return -0.5 * flat * roll * turned[None] * radius_mm

@@ -44,7 +44,6 @@ from splitknit.mirrors.reflection import (
     mirrored_fraction,
     shade_of,
 )
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import view_binning, views_in
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.observe import Observation, observe
@@ -96,9 +95,7 @@ class MirrorViews:
         return iter(self.views)
 
 
-def find_mirror_views(
-    capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings
-) -> MirrorViews:
+def find_mirror_views(capture: Capture, settings: FingerSettings) -> MirrorViews:
     """Views of the finger in one picture, and mirrors where the views' outlines have them. Raises
     BadInput if there are no mirrors beside the finger, or fewer than two views can be used.
     """
@@ -118,13 +115,11 @@ def find_mirror_views(
     shape = mirror_shape(
         replace(views, mirrors=visible),
         observation.rig,
-        replace(mirror, method="outlines"),
         tip_direction_deg=observation.tip_direction_deg or 0.0,
         slopes_on=partial(skin_slopes, observation.white.rig, grey, views),
         cut_too=True,
     )
-    assert isinstance(shape.model, Body)
-    used = {} if shape.fit is None else shape.fit.poses
+    used = shape.fit.poses
     cut = [name for name in shape.facts["views_cut_off"] if name in used]
     front = enlarged_mask(views.front, observation.shape, binning)
     if settings.cut_at_crease:
@@ -162,7 +157,7 @@ def find_mirror_views(
             light_only,
         ),
     ]
-    return MirrorViews(tuple(all_views), shape.model, tuple(findings))
+    return MirrorViews(tuple(all_views), shape.fit.body, tuple(findings))
 
 
 def _of_views(code: str, words: str, names: Iterable[str]) -> list[Finding]:

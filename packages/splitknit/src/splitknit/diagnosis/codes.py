@@ -185,13 +185,6 @@ CODES: dict[str, Code] = {
     "not-specular": Code(
         "The series through parallel films is not the brighter one.", "Exchange the series."
     ),
-    "no-check-size": Code(
-        "Shifted patterns were separated without the size of their checks.",
-        "Give `--check-px` for skin.",
-    ),
-    "negative-light": Code(
-        "Global light is negative in places.", "Check alpha, dark and the black image."
-    ),
     "series-order": Code(
         "Both polarised series are not in one order of lights.", "List both in the same order."
     ),

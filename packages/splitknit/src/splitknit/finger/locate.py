@@ -17,7 +17,6 @@ from splitknit.findings import Finding, Severity
 from splitknit.finger.mask import (
     MIN_OBJECT_CONTOUR,
     BeyondView,
-    MaskSettings,
     NoFinger,
     finger_mask,
     finger_masks,
@@ -85,13 +84,8 @@ class FingerSettings(Checked):
     """``calibrated``: rays run as in the rig file's camera model; ``orthographic``: parallel,
     whatever the model is."""
     lights: LightsSettings = field(default_factory=LightsSettings)
-    mask: MaskSettings = field(default_factory=MaskSettings)
-    yaw: Literal["full_width", "all_rows"] = "full_width"
-    """Which rows' middles give the finger's yaw: those of full width, robustly, or the thesis's,
-    all of them."""
-    cut_at_crease: bool | Literal["equalised"] = True
-    """Keep the first phalange alone; ``equalised``: cut at the thesis's row with the fewest light
-    pixels."""
+    cut_at_crease: bool = True
+    """Keep the first phalange alone."""
     motion: MotionSettings = field(default_factory=MotionSettings)
     keep: bool = False
     """Go on where the photographs of skin contradict each other or their lights so much that the
@@ -155,19 +149,18 @@ def find_finger(observation: Observation, settings: FingerSettings) -> Finger:
             "the given mask is too small: not one block of pixels lies inside it; mark all of it.",
         )
     else:
-        outline, wall = _outline(observation, image, stack, binning, settings.mask.method)
+        outline, wall = _outline(observation, image, stack, binning)
     quality, of_quality = _quality(observation, stack, outline, binning)
     stated = observation.tip_direction_deg is not None
     searched = skin and not stated and not observation.rig.mirrors
     upright = as_it_lies(outline)
     if skin or stated:
         direction = None if searched else observation.tip_direction_deg or 0.0
-        upright = find_upright(outline, direction, all_rows=settings.yaw == "all_rows")
+        upright = find_upright(outline, direction)
     crease = Crease()
     if skin:
-        equalised = settings.cut_at_crease == "equalised"
-        crease = find_crease(grey, outline, upright, small_px, equalised=equalised)
-    cut = bool(settings.cut_at_crease) and not stated_mask and skin
+        crease = find_crease(grey, outline, upright, small_px)
+    cut = settings.cut_at_crease and not stated_mask and skin
     kept = usable = phalange_mask(outline, crease, upright) if cut else outline
     if observation.mask is not None:
         mask = wide = np.asarray(observation.mask)
@@ -230,11 +223,7 @@ def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
 
 
 def _outline(
-    observation: Observation,
-    image: FloatArray,
-    stack: FloatArray,
-    binning: int,
-    method: Literal["grown", "kmeans"],
+    observation: Observation, image: FloatArray, stack: FloatArray, binning: int
 ) -> tuple[BoolArray, tuple[Finding, ...]]:
     """Mask of the finger itself, not of its mirror images, in the mean of the white images; of an
     object, without the wall behind it, and a note where one was left out."""
@@ -244,7 +233,7 @@ def _outline(
         image = without_mirrors(image, camera, mirrors, binning)
     skin = observation.material == "skin"
     try:
-        outline = finger_mask(image, camera.px_per_mm / binning, method)
+        outline = finger_mask(image, camera.px_per_mm / binning)
     except (NoFinger, BeyondView) as error:
         part = None if skin else object_before_wall(stack)
         if part is not None:
@@ -263,22 +252,20 @@ def _outline(
         part = object_before_wall(stack)
         if part is not None and outline[part].mean() > MIN_OBJECT_CONTOUR:
             return part, (_WALL_LEFT_OUT,)
-        whole = _whole_object(image, outline, camera.px_per_mm / binning, method)
+        whole = _whole_object(image, outline, camera.px_per_mm / binning)
         if whole is not None:
             return whole, (_OTHER_LEFT_OUT,)
     return outline, _left_out(image, outline)
 
 
-def _whole_object(
-    image: FloatArray, outline: BoolArray, px_per_mm: float, method: Literal["grown", "kmeans"]
-) -> BoolArray | None:
+def _whole_object(image: FloatArray, outline: BoolArray, px_per_mm: float) -> BoolArray | None:
     """Another object than the outlined one, which touches a border, that touches none and is not
     much smaller; None where there is none."""
     beside = dilate(outline, 0.05 * max(outline.shape))
     ground = np.median(image[~beside], axis=0) if not beside.all() else 0.0
     covered = beside if image.ndim == 2 else beside[..., None]
     with suppress(NoFinger, BeyondView):
-        whole = finger_mask(np.where(covered, ground, image), px_per_mm, method)
+        whole = finger_mask(np.where(covered, ground, image), px_per_mm)
         if not touched_borders(whole) and whole.sum() > _MUCH_SMALLER * outline.sum():
             return whole
     return None

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -32,7 +31,6 @@ from splitknit.finger.regions import (
 from splitknit.imaging.geometry import local_mean
 from splitknit.imaging.robust import deviation
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit.settings import Checked
 from splitknit.steps import keep
 
 _NO_FINGER = (
@@ -49,23 +47,12 @@ class BeyondView(BadInput):
     """What stands out touches three borders of the image, or all."""
 
 
-@dataclass(frozen=True, slots=True)
-class MaskSettings(Checked):
-    """How the finger is separated from the background."""
-
-    method: Literal["grown", "kmeans"] = "grown"
-    """``grown``: from a seed by k-means to whatever rises from the background; ``kmeans``: the
-    thesis's two clusters of the chromaticity alone."""
-
-
 _SEED_BLUR_MM = 0.25
 """Gaussian blur (sigma) of the chromaticity before clustering. Chosen on: judgement. Range: 0.125
 to 0.5 (validation/parameters)."""
 
 
-def finger_mask(
-    mean_image: FloatArray, px_per_mm: float, method: Literal["grown", "kmeans"] = "grown"
-) -> BoolArray:
+def finger_mask(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
     """Find the finger, (H, W) bool, one component without holes, on a dark background, or on an
     even, coloured one.
 
@@ -76,9 +63,8 @@ def finger_mask(
     seed and the seed grows to whatever rises from it, so that a shadowed part is not lost; spurs
     are cut, the largest component kept and its holes (specular reflection) filled. Before a bright,
     coloured background all this is done on the sum of the channels in which the background's own
-    colour vanishes. `method`: as in :class:`MaskSettings`. Raises BadInput if there is no finger,
-    or it touches three borders of the image. Source: the thesis, section 3.3.1.1, eqs. 3.58-3.63
-    (3.61 corrected).
+    colour vanishes. Raises BadInput if there is no finger, or it touches three borders of the
+    image. Source: the thesis, section 3.3.1.1, eqs. 3.58-3.63 (3.61 corrected).
     """
     image = _checked(mean_image)
     size = image.shape[:2]
@@ -86,11 +72,6 @@ def finger_mask(
     fine_scale = reduction(size, px_per_mm, 20.0, 1200)
     fine = reduce_image(image, fine_scale)
     fine_px = px_per_mm * fine_scale
-    if method == "kmeans":
-        cluster = _seed(fine, _SEED_BLUR_MM * fine_px, _without_spurs, colour_alone=True)
-        mask = largest_component(fill_holes(_enlarged(cluster, size)))
-        check_borders(mask)
-        return mask
     # scale of the copy that is clustered
     coarse_scale = reduction(fine.shape[:2], fine_px, 10.0, 600)
     coarse_px = fine_px * coarse_scale
@@ -287,16 +268,9 @@ def _enlarged(mask: BoolArray, size: tuple[int, ...]) -> BoolArray:
 # The seed: two clusters of the pixels' colour, or brightness.
 
 
-def _seed(
-    image: FloatArray,
-    sigma: float,
-    tidy: Callable[[BoolArray], BoolArray],
-    *,
-    colour_alone: bool = False,
-) -> BoolArray:
+def _seed(image: FloatArray, sigma: float, tidy: Callable[[BoolArray], BoolArray]) -> BoolArray:
     """Cluster by chromaticity and by brightness, keep the clearer split; `tidy` leaves what of it
-    may be a finger. `colour_alone`: by chromaticity, where there is any.
-    """
+    may be a finger."""
     brightness = _brightness(image)
     ceiling = max(float(np.percentile(brightness, 99.5)), 1e-12)
     candidates = [
@@ -308,7 +282,7 @@ def _seed(
         candidates.append(blur(chromaticity, sigma))
     best = np.zeros(brightness.shape, dtype=np.bool_)
     clearest = 0.0
-    for features in candidates[-1:] if colour_alone else candidates:
+    for features in candidates:
         second, separation = _two_means(features.reshape(-1, features.shape[2]))
         cluster = _finger_cluster(second.reshape(brightness.shape), brightness)
         if features.shape[2] == 3:

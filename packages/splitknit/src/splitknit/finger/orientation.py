@@ -54,15 +54,12 @@ _MAX_TURN = np.deg2rad(75.0)
 """Largest turn from the stated direction that is accepted (captures guarantee 60 deg)."""
 
 
-def find_upright(
-    mask: BoolArray, tip_direction_deg: float | None = None, *, all_rows: bool = False
-) -> Upright:
+def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upright:
     """The yaw of the finger `mask` (H, W) and the frame in which it is upright; nothing is
     resampled. A line is fitted robustly (Tukey's biweight) to the midpoints of full-width rows,
     without the tip and rows cut by the border, again in the frame turned by its angle until that
     stays. `tip_direction_deg`: of the tip within 75 deg, 0 = up, counter-clockwise; None: found by
-    the outline; `all_rows`: a plain line through the middles of all rows, as the thesis has it.
-    Source: the thesis, 3.3.1.1, "Orientation Correction".
+    the outline. Source: the thesis, 3.3.1.1, "Orientation Correction".
     """
     directions = _tip_directions(mask)
     if tip_direction_deg is None:
@@ -78,7 +75,7 @@ def find_upright(
     visible[1:-1, 1:-1] = 1.0
     reliable = False
     for _ in range(12):
-        correction, reliable = _tilt(small, visible, angle, all_rows=all_rows)
+        correction, reliable = _tilt(small, visible, angle)
         if not reliable:
             break
         angle += float(np.clip(correction, -0.35, 0.35))
@@ -199,9 +196,7 @@ def _difference(across: Array, down: Array, inside: BoolArray) -> tuple[int, flo
     return outside + best, width
 
 
-def _tilt(
-    small: FloatArray, visible: FloatArray, angle: float, *, all_rows: bool = False
-) -> tuple[float, bool]:
+def _tilt(small: FloatArray, visible: FloatArray, angle: float) -> tuple[float, bool]:
     """Angle by which the midline leans (counter-clockwise) in the frame turned by `angle`, and
     whether it exists."""
     side = int(np.ceil(np.hypot(*small.shape))) + 2
@@ -225,8 +220,6 @@ def _tilt(
     whole = (widths > 2.0) & ~cut
     if not whole.any():
         return 0.0, False
-    if all_rows and whole.sum() > 8:
-        return float(np.arctan(np.polyfit(row[whole], middles[whole], 1)[0])), True
     first = int(np.argmax(widths > 2.0))
     widest = float(np.percentile(widths[whole], 95))
     # rows of full width, but those nearer to the tip than half the widest one

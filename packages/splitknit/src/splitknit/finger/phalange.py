@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from splitknit.findings import Finding
 from splitknit.finger.orientation import Upright
 from splitknit.finger.regions import depth_inside, largest_component, reduce_image, reduce_mask
-from splitknit.imaging.geometry import refined_peak, smoothed, warp
+from splitknit.imaging.geometry import refined_peak, warp
 from splitknit.model import BoolArray, FloatArray
 
 
@@ -35,12 +35,7 @@ class Crease(NamedTuple):
 
 
 def find_crease(
-    mean_grey: FloatArray,
-    mask: BoolArray,
-    upright: Upright,
-    px_per_mm: float,
-    *,
-    equalised: bool = False,
+    mean_grey: FloatArray, mask: BoolArray, upright: Upright, px_per_mm: float
 ) -> Crease:
     """Find the first flexion crease below the tip; where none is in view, the verdict says why.
 
@@ -51,16 +46,13 @@ def find_crease(
     width. Of several candidates, the clearest at a usual distance from the tip is taken. Two lines
     of one joint are one crease, cut at the upper line unless that is the fainter. Source: the
     thesis, section 3.3.1.1, "Phalange Segmentation", steps 1-5. `mean_grey`: (H, W) float32 linear;
-    `mask`: (H, W) bool; `equalised`: the thesis's way instead: the row with the fewest light
-    pixels. It gives neither the number of rounds nor the width of the blur; three and 0.5 mm here.
+    `mask`: (H, W) bool.
     """
     # scale of the copy that is searched: a crease is half a millimetre wide and more, and ridges
     # must not show
     scale = min(1.0, 8.0 / px_per_mm, 700 / max(upright.size))
     small, inside = _upright_copy(mean_grey, mask, upright, scale)
-    valleys = (_darkest_rows if equalised else _transverse_valleys)(
-        small, inside, px_per_mm * scale
-    )
+    valleys = _transverse_valleys(small, inside, px_per_mm * scale)
     tip_row = upright.tip_row
     at_full_scale = []
     for valley in valleys:
@@ -199,36 +191,6 @@ def _judge(
 _CREASE_SIDE_MM = 1.6
 """A valley must be darker than the skin this far above and below it. Chosen on: judgement. Range:
 0.8 to 2.24 (validation/parameters)."""
-
-
-def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> list[_Valley]:
-    """Rows with fewer light pixels than those above and below, from the tip down: thesis, 3.3.1.1,
-    steps 2 and 3."""
-    from scipy.signal import find_peaks  # slow to load, and needed here alone
-
-    smooth = image
-    # the thesis gives no number of rounds and no width of the blur
-    for _ in range(3):  # histogram equalisation of the finger alone, then Gaussian blur
-        level = np.zeros_like(image)
-        level[inside] = np.searchsorted(np.sort(smooth[inside]), smooth[inside]) / max(
-            int(inside.sum()), 1
-        )
-        smooth = smoothed(level, inside, 0.5 * px_per_mm)
-    width = inside.sum(axis=1)
-    dark = np.where(
-        width > 0, 1.0 - (inside & (smooth > 0.5)).sum(axis=1) / np.maximum(width, 1), 1.0
-    )
-    # a row is a candidate there if it has so many fewer light pixels than the rows beside it, over
-    # the width
-    rows, peaks = find_peaks(
-        dark, prominence=0.2, distance=max(1, round(_CREASE_SIDE_MM * px_per_mm))
-    )
-    valleys = []
-    for row, prominence in zip(rows, peaks["prominences"], strict=True):
-        columns = np.flatnonzero(inside[row])
-        place = float(row), float(columns[0]), float(columns[-1])
-        valleys.append(_Valley(*place, 0.0, float(prominence), float(dark[row])))
-    return valleys
 
 
 _MIN_CREASE_DEPTH = 0.025  # minimum relative darkening, averaged over the finger's width

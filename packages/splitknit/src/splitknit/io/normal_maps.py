@@ -86,7 +86,7 @@ def read_mask(path: AnyPath, shape: tuple[int, int]) -> tuple[BoolArray, dict[st
     def same_size(rows: int, columns: int) -> None:
         require(
             (rows, columns) == shape,
-            f"{path} has {rows} x {columns} pixels, but the normal map {shape[0]} x {shape[1]}.",
+            f"{path} has {rows} x {columns} pixels, but {shape[0]} x {shape[1]} are expected.",
         )
 
     photo = read_photo(path, same_size)

@@ -232,7 +232,7 @@ def on_mirror_shape(
     # large, and needed where there are mirrors
     from splitknit.mirrors.captured import mirror_shape_of, seen_in_mirrors
 
-    seen = seen_in_mirrors(photographs.observation, settings.shape.mirror)
+    seen = seen_in_mirrors(photographs.observation)
     detail_mm = None if settings.method == "thesis" else surface.shape_mm
     shape_mm, mask, facts = mirror_shape_of(photographs.finger, seen, detail_mm)
     surface = replace(

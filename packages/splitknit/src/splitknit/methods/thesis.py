@@ -35,7 +35,7 @@ from splitknit.presets import (
     Photometry,
     PipelineSettings,
 )
-from splitknit.separation.direct import direct_light, direct_of_enhanced
+from splitknit.separation.direct import direct_light
 from splitknit.skin.grid import Slopes
 from splitknit.steps import keep, step
 
@@ -162,11 +162,7 @@ def _equalised(images: FloatArray, photographs: FingerBand, enhance: EnhanceSett
 @step("light")
 def _direct_images(images: FloatArray, white: FingerBand, direct: DirectSettings) -> FloatArray:
     """Direct light in the grey images, zero outside the skin, by the network of the thesis."""
-    inside = images * white.inside
-    if not (direct.from_colours and white.light.has_colour):
-        return direct_light(inside, direct.network)
-    colours = np.moveaxis(white.light.stack, 0, 1)
-    return direct_of_enhanced(inside, colours * (inside > 0)[:, None], direct.network)
+    return direct_light(images * white.inside, direct.network)
 
 
 def _separation_of(direct: DirectSettings, material: str) -> str:

@@ -29,7 +29,6 @@ from splitknit.mirrors.reflection import (
     mirrored_fraction,
     shade_of,
 )
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views, view_binning, views_in
 from splitknit.model import Array, BoolArray, FloatArray, Rig
 from splitknit.observation.observe import Observation
@@ -117,15 +116,13 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
     }
 
 
-def seen_in_mirrors(observation: Observation, settings: MirrorShapeSettings) -> SeenInMirrors:
+def seen_in_mirrors(observation: Observation) -> SeenInMirrors:
     """Views and shape of a finger; BadInput if the rig has no mirrors, or they do not show one
     finger."""
     views, grey = found_views(observation)
     tip = observation.tip_direction_deg or 0.0
     slopes_on = partial(skin_slopes, observation.white.rig, grey, views)
-    shape = mirror_shape(
-        views, observation.rig, settings, tip_direction_deg=tip, slopes_on=slopes_on
-    )
+    shape = mirror_shape(views, observation.rig, tip_direction_deg=tip, slopes_on=slopes_on)
     return SeenInMirrors(views, shape, observation.rig)
 
 

@@ -4,7 +4,7 @@ view."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -14,9 +14,8 @@ from scipy.optimize import brentq
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.imaging.areas import mirror_outline
-from splitknit.imaging.geometry import nearest_known
-from splitknit.imaging.view import pixels_of, view_of
-from splitknit.mirrors.body import Body, SeenHeights, Slopes
+from splitknit.imaging.view import pixels_of
+from splitknit.mirrors.body import Body, Slopes
 from splitknit.mirrors.fit import (
     DISAGREEING_MM,
     FIT_ROUNDS,
@@ -32,13 +31,11 @@ from splitknit.mirrors.outline import (
     OutlineRows,
     finger_axis,
     is_cut,
-    medial_line,
     pad_side,
     rows_of,
     touching_planes,
 )
 from splitknit.mirrors.reflection import Plane, Pose, Touching, reflect_points
-from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
 from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror, Rig
 
@@ -79,9 +76,11 @@ def turn_of_tips(
     return float(brentq(apart, -_MAX_TURN_RAD, _MAX_TURN_RAD, xtol=1e-11))
 
 
-def first_body(
-    front: OutlineRows, lateral: Mapping[str, OutlineRows], rays: Touching, squareness: float
-) -> Body:
+SQUARENESS = 0.16
+"""Prior mean of the pad's flatness (kappa), which the fit refines; 0 is an ellipse."""
+
+
+def first_body(front: OutlineRows, lateral: Mapping[str, OutlineRows], rays: Touching) -> Body:
     """Ellipses from the front view's rows, and heights from the `rays` that touch the finger in the
     first mirror's view."""
     known = np.isfinite(front.width_mm)
@@ -92,7 +91,7 @@ def first_body(
     length = min(front.tip_mm - float(front.along_mm[known][0]), seen_mm) + 0.3
     origin = float(np.mean(0.5 * (front.left_mm + front.right_mm)[known])) * front.across
     coefficients = np.zeros((4, 11 + 3))  # spans of the splines along the finger
-    body = Body(origin, front.axis, front.tip_mm, length, coefficients, squareness)
+    body = Body(origin, front.axis, front.tip_mm, length, coefficients, SQUARENESS)
     point = body.to_frame(rays.point, place=True)
     direction = body.to_frame(rays.direction, place=False)
     # where the rays cross the plane through the finger's axis
@@ -104,102 +103,20 @@ def first_body(
     return replace(body, coefficients=coefficients)
 
 
-# The thesis's method: lateral and frontal masks aligned row by row, one ellipse a row; mirrors at
-# exactly 45 deg.
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Ellipses:
-    """One ellipse for each row that both views have."""
-
-    axis: Array  # (2,) of the front view's medial line, towards the tip
-    from_tip_mm: Array  # (n,) distance of the rows from the tip, growing
-    tip_mm: float  # where the tip lies on the axis
-    middle_mm: Array  # (n,) middle of the front view's row, to the right of the axis
-    half_width_mm: Array  # (n,) of the front view
-    half_height_mm: Array  # (n,) of the lateral view
-    centre_mm: Array  # (n,) height of the lateral view's middle, beside its medial line
-
-    def heights(self, camera: Camera, rows: slice, columns: slice, binning: int = 1) -> SeenHeights:
-        """As :meth:`Body.heights`; beside the ellipses the nearest z is continued."""
-        x, y = np.broadcast_arrays(*view_of(camera, rows, columns, binning=binning).on_plane())
-        p = self.axis[0] * x + self.axis[1] * y
-        q = self.axis[1] * x - self.axis[0] * y
-        back = self.tip_mm - p
-
-        def at(values: Array) -> Array:
-            return np.asarray(np.interp(back, self.from_tip_mm, values))
-
-        place = (q - at(self.middle_mm)) / np.maximum(at(self.half_width_mm), 1e-9)
-        z = at(self.centre_mm) + at(self.half_height_mm) * np.sqrt(
-            np.clip(1.0 - place**2, 0.0, None)
-        )
-        inside = (
-            (np.abs(place) <= 1) & (back >= self.from_tip_mm[0]) & (back <= self.from_tip_mm[-1])
-        )
-        return x, y, nearest_known(z.astype(np.float32), inside), inside, inside
-
-
-def _ellipses(front: OutlineRows, lateral: OutlineRows, tip_is_outward: float) -> _Ellipses:
-    """Align the views as the thesis does, and pair their rows.
-
-    Medial lines are turned to one direction, tips put into one row, and each row's half-widths
-    become half axes of an ellipse; a plane mirror keeps lengths. `front`, `lateral`: outlines
-    across their medial lines; `tip_is_outward`: +1 where the pad is on the right of the lateral
-    view's axis, -1 on its left. Source: the thesis, section 3.3.2.3, steps 2 to 7.
-    """
-    front_back, middle, _, half_width = _rows_from_tip(front)
-    back, lateral_middle, line, half_height = _rows_from_tip(lateral)
-    common = (front_back <= back[-1]) & (front_back >= back[0])
-    require(
-        common.any(),
-        "the views of the finger have no row in common: it does not lie along the mirror.",
-    )
-    rows = front_back[common]
-    return _Ellipses(
-        axis=front.axis,
-        from_tip_mm=rows,
-        tip_mm=front.tip_mm,
-        middle_mm=middle[common],
-        half_width_mm=half_width[common],
-        half_height_mm=np.interp(rows, back, half_height),
-        centre_mm=tip_is_outward * np.interp(rows, back, lateral_middle - line),
-    )
-
-
-def _rows_from_tip(rows: OutlineRows) -> tuple[Array, Array, Array, Array]:
-    """Of whole rows, from the tip on: distance from it, middle, medial line and half width."""
-    known = np.isfinite(rows.width_mm)
-    require(int(known.sum()) >= 8, "a view of the finger is too small to show how it lies.")
-    slope, offset = medial_line(rows)
-    back = rows.tip_mm - rows.along_mm
-    middle = 0.5 * (rows.left_mm + rows.right_mm)
-    line = slope * rows.along_mm + offset
-    half = 0.5 * rows.width_mm
-    return back[known][::-1], middle[known][::-1], line[known][::-1], half[known][::-1]
-
-
-_CUT = (
-    "cut off at the mirror's edge or the picture's: lay the finger in the middle, so that the"
-    " mirror shows all of its pad."
-)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MirrorShape:
     """A finger's shape from its outlines."""
 
     camera: Camera
-    model: Body | _Ellipses
+    fit: Fit
     facts: Mapping[str, Any]  # mirrors' poses, misfits, the sections' form
-    rows: Mapping[str, OutlineRows] = field(default_factory=dict)  # of ``front`` and every mirror
-    fit: Fit | None = None
-    outlines: Mapping[str, ViewOutline] = field(default_factory=dict)  # that were fitted
+    rows: Mapping[str, OutlineRows]  # of ``front`` and every mirror
+    outlines: Mapping[str, ViewOutline]  # that were fitted
 
     def plane(self, mirror: Mirror) -> Plane:
         """Plane of a mirror, as fitted."""
         nominal = Plane(mirror.point_mm, mirror.normal)
-        pose = None if self.fit is None else self.fit.poses.get(mirror.name)
+        pose = self.fit.poses.get(mirror.name)
         return nominal if pose is None else nominal.posed(*pose)
 
     @property
@@ -212,7 +129,7 @@ class MirrorShape:
                 "0.02 to 0.07), so that the shape may be off by some tenths of a millimetre: check "
                 "its outline in the report, and the light of the mirrors.",
             )
-            for name, rms in (self.fit.rms_mm.items() if self.fit is not None else ())
+            for name, rms in self.fit.rms_mm.items()
             if rms > DISAGREEING_MM
         )
 
@@ -221,13 +138,13 @@ class MirrorShape:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """x, y, z (h, w), mm, of the surface that a window's pixels see, in blocks of `binning`;
         NaN beside it."""
-        x, y, z, inside, _ = self.model.heights(self.camera, rows, columns, binning)
+        x, y, z, inside, _ = self.fit.body.heights(self.camera, rows, columns, binning)
         return x, y, np.where(inside, z, np.nan)
 
     def continued(self, rows: slice, columns: slice) -> tuple[FloatArray, BoolArray]:
         """z (h, w) of a window's pixels, finite: beside the finger its outline's z goes on; and
         which are known."""
-        _, _, z, _, known = self.model.heights(self.camera, rows, columns)
+        _, _, z, _, known = self.fit.body.heights(self.camera, rows, columns)
         return z, known
 
     def drawn(self) -> dict[str, Array]:
@@ -235,7 +152,6 @@ class MirrorShape:
         image."""
         lines = {}
         for name, outline in self.outlines.items():
-            assert self.fit is not None
             points = touched(self.fit.body, self.fit.planes(name, outline))
             if outline.plane is not None:
                 points = reflect_points(points, outline.plane.posed(*self.fit.poses[name]))
@@ -249,7 +165,6 @@ _MIN_POINTS = 20  # a view with fewer points of its outline is not used
 def mirror_shape(
     views: Views,
     rig: Rig,
-    settings: MirrorShapeSettings | None = None,
     *,
     tip_direction_deg: float = 0.0,
     slopes_on: Callable[[MirrorShape], Slopes | None] | None = None,
@@ -269,7 +184,6 @@ def mirror_shape(
     cut_too : use the visible part of views that the border of the picture or of their mirror cuts;
         else they are left out
     """
-    settings = settings or MirrorShapeSettings()
     camera = rig.camera
     turn = np.deg2rad(tip_direction_deg)
     hint = np.array([-np.sin(turn), np.cos(turn)])
@@ -282,9 +196,6 @@ def mirror_shape(
     }
     mirrors = list(known.values())
     require(mirrors, "no mirror beside the finger shows it; the shape needs one at least.")
-    if settings.method == "thesis":
-        return _by_thesis(views, camera, mirrors[0], axis, front)
-
     rows, outlines, cut = _mirror_outlines(views, camera, mirrors, axis, cut_too=cut_too)
     lateral = {
         name: rows[name]
@@ -293,39 +204,27 @@ def mirror_shape(
     }
     require(
         lateral,
-        f"the view in the {' and the '.join(known)} mirror is {_CUT}",
+        f"the view in the {' and the '.join(known)} mirror is cut off at the mirror's edge or the"
+        " picture's: lay the finger in the middle, so that the mirror shows all of its pad.",
     )
     first = next(iter(lateral))
     poses = {name: Pose(outline.turn_rad) for name, outline in outlines.items()}
     nominal = Plane(known[first].point_mm, known[first].normal)
     rays = nominal.posed(*poses[first]).reflect(outlines[first].touching)
-    start = Estimate(first_body(front, lateral, rays, settings.squareness), poses)
+    start = Estimate(first_body(front, lateral, rays), poses)
     whole_front = front.beyond(start.body.tip_mm - start.body.length_mm)
     outlines = {"front": ViewOutline(touching_planes(whole_front, camera)), **outlines}
     rounds = 20 if cut and cut_too else FIT_ROUNDS  # the first guess is further off
     fit = fit_views(start, outlines, rounds=rounds)
     refuse_misfit(fit)
     if slopes_on is not None:
-        slopes = slopes_on(MirrorShape(camera, fit.body, {}, {"front": front}, fit))
+        slopes = slopes_on(MirrorShape(camera, fit, {}, {}, {}))
         if slopes is not None:
             fit = fit_views(start, outlines, slopes, rounds)
             refuse_misfit(fit)
     useless = [name for name in rows if name not in poses]
     facts = {**facts_of(fit), "views_cut_off": cut, "views_useless": useless}
-    return MirrorShape(camera, fit.body, facts, {"front": front, **rows}, fit, outlines)
-
-
-def _by_thesis(
-    views: Views, camera: Camera, mirror: Mirror, axis: Array, front: OutlineRows
-) -> MirrorShape:
-    """The thesis's method on one lateral view."""
-    name = mirror.name
-    _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis)
-    side = pad_side(mirror, lateral)
-    require(not is_cut(lateral, side), f"the view in the {name} mirror is {_CUT}")
-    model = _ellipses(front, lateral, 1.0 if side == "right" else -1.0)
-    facts = {"method": "thesis", "mirrors": [name]}
-    return MirrorShape(camera, model, facts, {"front": front, name: lateral})
+    return MirrorShape(camera, fit, facts, {"front": front, **rows}, outlines)
 
 
 def _mirror_outlines(

@@ -328,13 +328,6 @@ EXPLAINED = {
     "light_brightness": (
         "Brightness of each light over the mean, estimated with the surface and taken out."
     ),
-    "level_removed_um": (
-        "Height of the field's own bend, which was removed: a polynomial of `level_order`."
-    ),
-    "faulty_white": (
-        "Photographs that do not fit the others: file, fault, and the turn of the normals in"
-        " degrees."
-    ),
     "light_residual_per_image": "The same for every image. Good: all similar.",
     "yaw_deg": "Turn in the image, counter-clockwise; it is taken out.",
     "tip_direction": (

@@ -1,22 +1,13 @@
-"""Images under fine patterns, or through polarising films, in; two kinds of light out."""
+"""A photograph of skin, or photographs through polarising films, in; two kinds of light out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from splitknit.arguments import (
-    AnyPath,
-    Encoding,
-    Progress,
-    checked,
-    count,
-    refuse_given,
-    silent,
-    text_of,
-)
+from splitknit.arguments import AnyPath, Encoding, Progress, checked, silent, text_of
 from splitknit.errors import require
 
 
@@ -41,11 +32,9 @@ class Separated:
                     *notes,
                 ]
             )
-        direct = f"{100 * facts['direct_share']:.0f} % of the light is direct in the median"
-        images = count(len(facts["images"]), "image")
         return text_of(
             [
-                f"{images} separated by {facts['method']}: {direct}.",
+                f"{100 * facts['direct_share']:.0f} % of the light is direct in the median.",
                 f"Written to {facts['out']}: {', '.join(facts['files'])}.",
                 *notes,
             ]
@@ -54,42 +43,25 @@ class Separated:
 
 @checked
 def separate(
-    folders: Sequence[AnyPath],
+    photographs: Sequence[AnyPath],
     *,
     out: AnyPath,
-    method: Literal["checkerboard", "network"] = "checkerboard",
-    alpha: float | None = None,
-    dark: float | None = None,
-    patterns: str | None = None,
     encoding: Encoding | None = None,
-    check_px: float | None = None,
     progress: Progress = silent,
 ) -> Separated:
-    """Split images under fine patterns into direct and global light, or polarised ones.
+    """Split a photograph of skin into direct and global light, or polarised ones.
 
     Parameters
     ----------
-    folders
-        Folder of images under patterns; or 'polarised PARALLEL CROSSED', two folders of the same
-        photographs through parallel and crossed films: specular and diffuse light.
+    photographs
+        Photograph, or folder of one (and `mask`, white where a result is wanted), which the network
+        of the thesis separates, best at 14 to 38 pixels/mm; or 'polarised PARALLEL CROSSED', two
+        folders of the same photographs through parallel and crossed films: specular and diffuse
+        light.
     out
         Folder to write the results into.
-    method
-        checkerboard; or network: the folder holds one photograph of skin (and `black`, `mask`),
-        which the network of the thesis separates, best at 14 to 38 pixels/mm.
-    alpha
-        Fraction of the pattern that is lit (default: 0.5).
-    dark
-        Brightness of its unlit part (default: 0).
-    patterns
-        Folder of state images, white = lit, or 'estimate' to find the states in the images: no bias
-        by noise.
     encoding
-        Of the images (default: linear; of one photograph what its file says: sRGB for JPEG and 8
-        bits).
-    check_px
-        Side of a check on the images, for noisy checkerboards on skin (whose states are found in
-        the images unless `patterns` gives them).
+        Of the photographs (default: what their files say, sRGB for JPEG and 8 bits).
 
     Returns
     -------
@@ -102,34 +74,19 @@ def separate(
 
     Examples
     --------
-    >>> separate(["images"], out="light").facts["direct_share"]  # doctest: +SKIP
+    >>> separate(["finger.png"], out="light").facts["direct_share"]  # doctest: +SKIP
     0.62
     """
-    from splitknit.separation.folder import separate_polarised_folders, separate_to_folder
+    from splitknit.separation.folder import separate_photograph, separate_polarised_folders
 
-    places = [Path(folder) for folder in folders]
+    places = [Path(place) for place in photographs]
     target = Path(out)
-    of_patterns = {"alpha": alpha, "dark": dark, "patterns": patterns, "check_px": check_px}
-    if method == "network":
-        refuse_given("is of patterns; `method` network takes none.", **of_patterns)
-        require(len(places) == 1, "`method` network takes one folder, with one photograph.")
     if len(places) == 1:
-        facts = separate_to_folder(
-            places[0],
-            target,
-            method=method,
-            alpha=0.5 if alpha is None else alpha,
-            dark=0.0 if dark is None else dark,
-            patterns=patterns,
-            encoding=encoding,
-            check_px=check_px,
-            progress=progress,
-        )
+        facts = separate_photograph(places[0], target, encoding=encoding, progress=progress)
         return Separated(facts)
     require(
-        len(places) == 3 and str(places[0]) == "polarised" and set(of_patterns.values()) == {None},
-        "name one folder of images under patterns, or 'polarised PARALLEL CROSSED', with `out` and"
-        " `encoding` alone.",
+        len(places) == 3 and str(places[0]) == "polarised",
+        "name one photograph, or 'polarised PARALLEL CROSSED', two folders.",
     )
     facts = separate_polarised_folders(
         places[1], places[2], target, encoding=encoding, progress=progress

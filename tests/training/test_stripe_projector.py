@@ -4,13 +4,19 @@ The files are linear: a pattern and its inverse, black taken off, add up to whit
 the sRGB curve undone they would miss it by a quarter.
 """
 
+import sys
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 from splitknit.io.images import read_image
 from splitknit.observation.stored import linear_image
-from splitknit.separation.binary import checkerboard
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
+
+from patterns import checkerboard
 
 pytestmark = pytest.mark.external
 PAIRS = ("stripes_14", "stripes_16", "rows_34")

@@ -1,14 +1,19 @@
 """Checkerboards: exact where the pattern is ideal, unbiased where its states are known, closed to
 sloppy stacks."""
 
+import sys
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 from checkerboards import checkerboard_patterns
 from splitknit.errors import BadInput
-from splitknit.separation.binary import checkerboard
-from splitknit.separation.stacks import estimate_patterns
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
+
+from patterns import checkerboard, estimate_patterns
 
 SIZE = (60, 72)
 SHIFTS = [(2 * i, 2 * j) for i in range(5) for j in range(5)]
