@@ -234,13 +234,6 @@ def fit_radiometry(
             "shading": list(flat.camera.shading),
             "corner": rounded(1.0 + sum(flat.camera.shading)),
         },
-        "model": {
-            "chosen": flat.order.name,
-            "tried": [
-                {"name": n, "parameters": p, "rms_percent": rounded(rms)}
-                for n, p, rms in flat.orders
-            ],
-        },
         "ambient_percent": images.ambient_percent,
     }
     provenance = {**rig.provenance, PROVENANCE: facts}
@@ -291,14 +284,14 @@ def _led_facts(
 ) -> dict[str, Any]:
     led = flat.leds[k]
     origin = -np.asarray(led.position_mm) / np.linalg.norm(np.asarray(led.position_mm))
-    rms, error = float(flat.rms_percent[k]), float(flat.exponent_error[k])
+    rms = float(flat.rms_percent[k])
     level = np.median(images.light[k] / card_light(flat.camera, led, images.pixels, flat.card))
     return {
         "led": k,
         "name": led_name(rig.leds, k),
         "intensity": led.intensity,
         "lobe_exponent": led.lobe_exponent,
-        "lobe_exponent_error": rounded(error) if np.isfinite(error) else None,
+        "lobe_exponent_error": rounded(flat.exponent_error[k]),
         "aim_off_deg": rounded(np.rad2deg(np.arccos(np.clip(led.axis @ origin, -1, 1)))),
         "level": rounded(level),
         "rms_percent": rounded(rms),
