@@ -216,24 +216,6 @@ def test_a_blurred_finger_spoils_the_session(sharp_finger):
     assert session.focus.snr > 1
 
 
-@pytest.mark.slow
-def test_focus_is_measured_until_it_is_stopped(finger, faulty):
-    camera, lights, _ = faulty(blur_mm={0: 0.3, 1: 0.2, 2: 0.1, 3: 0.0})
-    seen = []
-
-    def watch(focus, watching):
-        seen.append(focus.sharpness)
-        return len(seen) == 5
-
-    run_session(camera, lights, finger.rig, watch_focus=watch)
-    assert len(seen) == 5
-    seen.clear()
-    camera, lights, _ = faulty()
-    # never says stop
-    run_session(camera, lights, finger.rig, watch_focus=lambda focus, watching: seen.append(1))
-    assert 5 < len(seen) < 20
-
-
 def test_leds_are_off_after_an_interrupt(finger, faulty):
     camera, lights, _ = faulty()
     camera.capture = lambda: (_ for _ in ()).throw(KeyboardInterrupt)

@@ -191,7 +191,7 @@ class CardModel:
     def _log_cosine(self, tilt: Array) -> Array:
         along = self.seen[:, 0] + np.einsum("ki,kin->kn", tilt, self.seen[:, 1:])
         length = np.linalg.norm(tilt, axis=1)[:, None]
-        return np.log(np.maximum(along, 1e-6)) - 0.5 * np.log(1 + length**2)
+        return np.asarray(np.log(np.maximum(along, 1e-6)) - 0.5 * np.log(1 + length**2))
 
     def _fall_off(self, lens: Array) -> Array:
         return np.asarray(np.maximum(1 + lens[0] * self.squared + lens[1] * self.squared**2, 0.02))

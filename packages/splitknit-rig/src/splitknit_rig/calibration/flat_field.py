@@ -56,7 +56,7 @@ def _fit(model: CardModel, start: Array, logarithm: Array, scale: float) -> tupl
             prior[k, :, 2 + 4 * k : 6 + 4 * k] = by_own * np.array(_PRIOR[1])[:, None]
         return np.concatenate([rows.reshape(-1, len(vector)), prior.reshape(-1, len(vector))])
 
-    bounds = [model.vector(*limits) for limits in model.bounds]
+    low, high = (model.vector(*limits) for limits in model.bounds)
     for _ in range(10):  # each with new weights of the card's places
         common = np.median(logarithm - model.logarithm(vector), axis=0)
         width = max(scale, 3.0 * deviation(common))
@@ -64,7 +64,7 @@ def _fit(model: CardModel, start: Array, logarithm: Array, scale: float) -> tupl
         if float(np.abs(weight - last).max()) < 0.01:
             break
         root = np.sqrt(weight) / scale
-        vector = least_squares(residuals, vector, slopes, bounds, args=(root,), ftol=1e-7).x
+        vector = least_squares(residuals, vector, slopes, (low, high), args=(root,), ftol=1e-7).x
     jacobian = slopes(vector, root)
     return vector, np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))
 

@@ -225,24 +225,6 @@ Source: Immerkaer 1996, see :func:`measure_focus`.
 """
 
 
-@dataclass(slots=True)
-class FocusWatch:
-    """Follows live measurements and reports when they have stopped rising."""
-
-    best: float = 0.0
-    measured: int = 0
-    ended: bool = False  # whether it is enough
-    _idle: int = 0
-
-    def add(self, focus: Focus) -> bool:
-        """Note a measurement; true when it is enough."""
-        self.measured += 1
-        self._idle = 0 if focus.sharpness > 1.02 * self.best else self._idle + 1
-        self.best = max(self.best, focus.sharpness)
-        self.ended = self._idle >= 8 or self.measured >= 400
-        return self.ended
-
-
 def grey_light(pixels: NDArray[np.unsignedinteger], black_level: float = 0.0) -> FloatArray:
     """(H, W) mean of the channels of stored (H, W, C) integers, 1 = full scale."""
     mean: FloatArray = pixels.mean(axis=2, dtype=np.float32)

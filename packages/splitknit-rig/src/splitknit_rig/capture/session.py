@@ -29,7 +29,6 @@ from splitknit_rig.capture.exposure import (
     Exposure,
     ExposureSettings,
     Focus,
-    FocusWatch,
     Survey,
     find_exposure,
     grey_light,
@@ -46,8 +45,6 @@ from splitknit_rig.capture.shots import (
     Shot,
 )
 
-WatchFocus = Callable[[Focus, FocusWatch], bool]
-"""Shown every measurement; true ends the live measurement."""
 BANDS = ("white", "nir")
 
 
@@ -136,12 +133,11 @@ def run_session(
     rig: Rig,
     settings: SessionSettings | None = None,
     *,
-    watch_focus: WatchFocus | None = None,
     turn: Turn | None = None,
     progress: Progress = no_progress,
 ) -> Session:
-    """Photograph one finger under all LEDs; look at the verdict first. `watch_focus`: shown live
-    measurements until it returns stop; `turn`: of the analyser. Raises BadInput if nothing can be
+    """Photograph one finger under all LEDs; look at the verdict first. `turn`: of the
+    analyser. Raises BadInput if nothing can be
     captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the
     analyser.
     """
@@ -163,7 +159,7 @@ def run_session(
             devices, bands, settings, lambda part: progress("finding the exposure", 0.3 * part)
         )
         progress("focus", 0.3)
-        focus = _focus(devices, region, exposures["white"], watch_focus)
+        focus = _focus(devices, region, exposures["white"])
         shooting = Shooting(
             devices,
             Examiner(
@@ -210,10 +206,8 @@ def run_session(
 FOCUS_FIELD_MM = 10.0  # side of the field in the finger's middle
 
 
-def _focus(
-    devices: Devices, region: BoolArray, exposure: Exposure, watch_focus: WatchFocus | None
-) -> Focus:
-    """Measure the focus under the brightest white LED, live if somebody watches."""
+def _focus(devices: Devices, region: BoolArray, exposure: Exposure) -> Focus:
+    """Measure the focus under the brightest white LED."""
     camera, lights, px_per_mm = devices.camera, devices.lights, devices.rig.camera.px_per_mm
     camera.lock(exposure.exposure_s, exposure.gain, "white")
     rows, columns = camera.image_size
@@ -226,17 +220,11 @@ def _focus(
     for extent in bounding_box(whole):
         outside = max(0.5 * (extent.stop - extent.start - FOCUS_FIELD_MM * px_per_mm), 0.0)
         part.append(slice(int(extent.start + outside), int(np.ceil(extent.stop - outside))))
-    visible = whole[tuple(part)]
-    watch = FocusWatch()
-    while True:
-        lights.on(exposure.brightest)
-        frame = camera.capture()
-        light = grey_light(frame.pixels[tuple(part)], frame.black_level)
-        focus = measure_focus(light, visible, px_per_mm)
-        enough = watch.add(focus)
-        if watch_focus is None or watch_focus(focus, watch) or enough:
-            lights.off()
-            return focus
+    lights.on(exposure.brightest)
+    frame = camera.capture()
+    lights.off()
+    light = grey_light(frame.pixels[tuple(part)], frame.black_level)
+    return measure_focus(light, whole[tuple(part)], px_per_mm)
 
 
 # Before the shots: where the finger is, whether every LED lights, and which exposure each band
