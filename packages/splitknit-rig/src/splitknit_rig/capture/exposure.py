@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.checks import check_image, check_mask
-from splitknit.devices import ExposureRange, Frame
+from splitknit.devices import ExposureRange, Frame, relative_exposure
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
@@ -51,21 +51,38 @@ class Exposure:
     gain: float
     brightest: int  # LED under which the finger is brightest
     level: float  # fraction of full scale that the finger reaches under it
-    # LED to the finger's median level (fraction of full scale) that the previews promise
-    expected: Mapping[int, float] = field(default_factory=dict)
+    # LED to the light (h, w) that its preview shows, see :func:`coarse_light`
+    light: Mapping[int, FloatArray] = field(default_factory=dict)
+    room: FloatArray | None = None
+    """(h, w) the same with all LEDs off."""
 
-    def promising(self, seen: Survey, lit: Mapping[int, float]) -> Exposure:
-        """With what the previews promise: `lit` is LED to the finger's level in the survey, less
-        the ambient light."""
-        ratio = self.exposure_s * self.gain / (seen.exposure_s * seen.gain)
-        return replace(self, expected={led: ratio * max(level, 0.0) for led, level in lit.items()})
+    def promising(self, seen: Survey, room: Frame) -> Exposure:
+        """With what the previews promise of the shots, and `room`, the preview without LEDs."""
+        dark = coarse_light(room)
+        light = {led: coarse_light(frame) - dark for led, frame in seen.frames.items()}
+        return replace(self, light=light, room=dark)
+
+
+def coarse_light(frame: Frame) -> FloatArray:
+    """(h, w) mean light of a frame or its preview in 48 cells across, over the exposure: what shows
+    which LED and exposure made it."""
+    grey = grey_light(frame.pixels, frame.black_level) / np.float32(relative_exposure(frame))
+    size = (48, max(1, round(48 * grey.shape[0] / grey.shape[1])))
+    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
+
+
+EXPOSURE_STEP = 1.15
+"""Exposures are those of a ladder of such steps, so that a frame made with another one than the
+camera states is seen by its light."""
 
 
 def exposure_of(
     product_s: float, camera: ExposureRange, settings: ExposureSettings
 ) -> tuple[float, float]:
     """Exposure time and gain whose product is `product_s`, or as near as the camera can: time
-    first, then gain."""
+    first, then gain; the product is on the ladder of `EXPOSURE_STEP`."""
+    rung = round(np.log(product_s / START_S) / np.log(EXPOSURE_STEP))
+    product_s = START_S * EXPOSURE_STEP**rung
     longest = min(max(settings.longest_s, camera.shortest_s), camera.longest_s)
     time_s = float(np.clip(product_s / camera.lowest_gain, camera.shortest_s, longest))
     return time_s, float(np.clip(product_s / time_s, camera.lowest_gain, camera.highest_gain))
@@ -144,19 +161,19 @@ def find_exposure(
     levels = {led: _level_of(frame, region) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
     time_s, gain, level = seen.exposure_s, seen.gain, levels[brightest]
+    wanted = time_s, gain
     for _ in range(12):
-        if abs(level / settings.target - 1.0) <= 0.06:
+        if abs(level / settings.target - 1.0) <= 0.075:  # half a step
             break
         factor = (
             0.3
             if level >= _CLIPPED_PREVIEW
             else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
         )
-        wanted = exposure_of(time_s * gain * factor, camera, settings)
-        if np.allclose(wanted, (time_s, gain), rtol=1e-6):
-            break  # the camera's limit
-        time_s, gain = wanted
-        frame = look(brightest, time_s, gain)
+        before, wanted = wanted, exposure_of(time_s * gain * factor, camera, settings)
+        if np.allclose(wanted, before, rtol=1e-6):
+            break  # the camera's limit, or the nearest step
+        frame = look(brightest, *wanted)
         time_s, gain = frame.exposure_s, frame.gain  # what the sensor made of it
         level = _level_of(frame, region)
     require(

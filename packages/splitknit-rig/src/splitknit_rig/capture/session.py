@@ -255,7 +255,8 @@ def _meter(
             lights.on(led)
             return camera.preview()
 
-        seen = survey(look, leds, camera.exposures, settings.exposure)
+        # against the order of the shots: a camera that lags shows other LEDs in both
+        seen = survey(look, leds[::-1], camera.exposures, settings.exposure)
         lights.off()
         camera.lock(seen.exposure_s, seen.gain, spectral_band(band))
         room = camera.preview()
@@ -281,7 +282,7 @@ def _meter(
         exposure = exposure or find_exposure(
             look, seen, region, camera.exposures, settings.exposure
         )
-        exposures[band] = exposure.promising(seen, lit)
+        exposures[band] = exposure.promising(seen, room)
         lights.off()
         progress((done + 1) / len(bands))
     assert region is not None
