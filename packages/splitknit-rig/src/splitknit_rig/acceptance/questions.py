@@ -60,10 +60,9 @@ LINEAR = Question("linearity", 0.5, "% of full scale")
 sound twins have 0.03 %. Chosen on: simulated fingers (effects.csv). Range: at 2 up to 0.24 mm."""
 LIT = Question("LEDs that do not light", 0.0, "LEDs")
 SPECKS = Question("specks on sensor, lens or card", 3.0, "specks")
-"""Places darker by `_SPECK` than their surroundings, in the mean of all images. A light that all
-images share to a speck's part is no slope of the surface, so that few do no harm; the sound twins
-have none."""
-_SPECK = 0.03  # of the light around it; the card's calibration leaves out what is darker by 0.02
+"""Places darker, or stuck pixels brighter, by `_SPECK` than their surroundings in the mean of all
+images. What all images share is no slope of the surface, so that few do no harm."""
+_SPECK = 0.03  # of the light around it; the card's calibration leaves out what departs by 0.02
 EXPOSED = Question("darkest card", 25.0, "% of full scale", at_least=True)
 """99th percentile. A finger exposed so has up to 2 % more error in its ridges. Chosen on:
 judgement, checked on simulated fingers (effects.csv). Range: at 12.5 up to 3 %."""
@@ -223,15 +222,16 @@ _UNLIT = 0.12  # of its band's light, as a capture session has it
 
 
 def _specks(card: Capture, px_per_mm: float) -> tuple[float, str]:
-    """How many specks darken a card in all images, and where the darkest is."""
+    """How many specks a card shows in all images, and where the strongest is."""
     stack = np.concatenate([light.grey for light in observe(card).bands.values()])
     flat = np.mean(stack / np.maximum(stack.mean(axis=(1, 2), keepdims=True), 1e-6), axis=0)
-    depth = 1.0 - cv2.GaussianBlur(flat / wide_blur(flat, px_per_mm), (0, 0), 0.7)
-    _, _, stats, _ = cv2.connectedComponentsWithStats((depth > _SPECK).astype(np.uint8))
+    departure = cv2.GaussianBlur(flat / wide_blur(flat, px_per_mm), (0, 0), 0.7) - 1.0
+    specks = (np.abs(departure) > _SPECK).astype(np.uint8)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(specks)
     small = stats[1:, cv2.CC_STAT_AREA] < px_per_mm**2  # mm^2
-    row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
-    darkest = f"darkest at column {column}, row {row}: {100 * float(depth.max()):.0f} %"
-    return float(small.sum()), darkest if small.any() else ""
+    row, column = np.unravel_index(int(np.argmax(np.abs(departure))), departure.shape)
+    most = f"{100 * float(departure[row, column]):+.0f} % at column {column}, row {row}"
+    return float(small.sum()), most if small.any() else ""
 
 
 def _bands(rig: Rig) -> list[str]:

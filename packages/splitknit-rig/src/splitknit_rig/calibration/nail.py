@@ -126,8 +126,6 @@ class JointFit:
     """All LEDs, and how well they are known."""
 
     leds: tuple[LedEstimate, ...]
-    interval_deg: Array  # (L,) the true direction lies within this angle with 95 % probability
-    interval_mm: Array  # (L,) the same of the position
     nail_height_mm: float
     # (N, 2) tips found minus expected, columns and rows, in the order of the rows
     residual_px: Array
@@ -187,7 +185,7 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
     # where the residuals exceed their stated deviation
     wider = max(1.0, 2.0 * float(fit.cost) / freedom)
     covariance = np.asarray(np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * wider)
-    estimates, degrees, sizes = [], [], []
+    estimates = []
     ends = plane_points(model.camera, model.tip_px)
     for k, (band, led) in enumerate(model.names):
         rows = np.flatnonzero(model.led_of == k)
@@ -199,17 +197,23 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
         alone = combine(band, led, singles, circle)
         arm = leds[k] - circle.foot_mm
         unit = arm / np.linalg.norm(arm)
-        estimates.append(LedEstimate(band, led, leds[k], unit, alone.disagreement_deg, singles))
         block = covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
         turn = (np.eye(3) - np.outer(unit, unit)) / np.linalg.norm(arm)
-        degrees.append(np.degrees(_radius_95(turn @ block @ turn.T)))
-        sizes.append(_radius_95(block))
+        estimates.append(
+            LedEstimate(
+                band,
+                led,
+                leds[k],
+                unit,
+                alone.disagreement_deg,
+                float(np.degrees(_radius_95(turn @ block @ turn.T))),
+                _radius_95(block),
+            )
+        )
     arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
     off = np.abs(np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) > STRAY_LED_MM
     return JointFit(
         leds=tuple(estimates),
-        interval_deg=np.array(degrees),
-        interval_mm=np.array(sizes),
         nail_height_mm=height,
         residual_px=residual_px,
         outliers=tuple(int(row) for row in np.flatnonzero(astray)),

@@ -98,18 +98,9 @@ def _level_of(frame: Frame, region: BoolArray | None = None) -> float:
     pixels = (
         frame.pixels.reshape(-1, frame.pixels.shape[2]) if region is None else frame.pixels[region]
     )
-    return max(_above_black(frame, np.max(np.percentile(pixels, FINGER_PERCENTILE, axis=0))), 0.0)
-
-
-def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -> float:
-    """Mean over the channels of the finger's median (or percentile), likewise."""
-    return _above_black(frame, np.mean(np.percentile(frame.pixels[region], percentile, axis=0)))
-
-
-def _above_black(frame: Frame, stored: np.floating) -> float:
-    return (float(stored) - frame.black_level) / (
-        float(np.iinfo(frame.pixels.dtype).max) - frame.black_level
-    )
+    stored = float(np.max(np.percentile(pixels, FINGER_PERCENTILE, axis=0)))
+    full = float(np.iinfo(pixels.dtype).max)
+    return max((stored - frame.black_level) / (full - frame.black_level), 0.0)
 
 
 START_S = 0.01

@@ -30,11 +30,11 @@ from splitknit_rig.capture.exposure import (
     ExposureSettings,
     Focus,
     Survey,
+    coarse_light,
     find_exposure,
     grey_light,
     measure_focus,
     survey,
-    typical_level,
 )
 from splitknit_rig.capture.pins import led_names, rig_films
 from splitknit_rig.capture.shots import (
@@ -240,7 +240,6 @@ def _meter(
     """Preview the finger under every LED; find where it is on the previews' grid, and every band's
     exposure."""
     camera, lights = devices.camera, devices.lights
-    typical = MEDIAN if settings.find_finger else _BRIGHT_PERCENTILE
     region: BoolArray | None = None
     exposures: dict[str, Exposure] = {}
     for done, (band, leds) in enumerate(bands.items()):
@@ -272,11 +271,7 @@ def _meter(
         if region is None:
             everything = np.ones(room.pixels.shape[:2], dtype=np.bool_)
             region = _region(seen, room, devices) if settings.find_finger else everything
-        dark = typical_level(room, region, typical)
-        lit = {
-            led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()
-        }
-        _check_lit(lit, dark, led_names(devices.rig))
+        _check_lit(seen, room, led_names(devices.rig))
         # both series have the parallel one's
         exposure = exposures.get(band.removesuffix("_crossed"))
         exposure = exposure or find_exposure(
@@ -306,9 +301,11 @@ def _region(seen: Survey, room: Frame, devices: Devices) -> BoolArray:
         ) from error
 
 
-def _check_lit(levels: Mapping[int, float], dark: float, names: Sequence[str]) -> None:
+def _check_lit(seen: Survey, room: Frame, names: Sequence[str]) -> None:
+    dark = float(coarse_light(room).mean())
+    levels = {led: float(coarse_light(frame).mean()) - dark for led, frame in seen.frames.items()}
     typical = float(np.median(list(levels.values())))
-    unlit = [names[led] for led, level in levels.items() if level < max(0.12 * typical, 0.002)]
+    unlit = [names[led] for led in sorted(levels) if levels[led] < 0.12 * typical]
     require(
         not unlit,
         f"{listed(unlit)} did not light; check {'its' if len(unlit) == 1 else 'their'} wiring and"
