@@ -77,8 +77,8 @@ def main(arguments: list[str] | None = None) -> int:
             for p in (circle_led.position_mm, joint_led.position_mm, drawn)
         ]
         print(
-            f"white {k}  {errors[0]:14.2f} deg {errors[1]:13.2f} deg {joint_led.interval_deg:9.2f} deg"
-            f" {errors[2]:11.2f} deg"
+            f"white {k}  {errors[0]:14.2f} deg {errors[1]:13.2f} deg"
+            f" {joint_led.interval_deg:9.2f} deg {errors[2]:11.2f} deg"
         )
     return 0
 

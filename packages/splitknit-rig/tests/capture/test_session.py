@@ -224,6 +224,41 @@ def test_leds_are_off_after_an_interrupt(finger, faulty):
     assert lights.lit == frozenset()
 
 
+def test_a_frame_of_another_led_or_exposure_is_refused(finger):
+    """A camera that gives the frame before instead, and one that exposes a step less than it
+    states."""
+    camera, lights, _ = twin_devices(finger)
+    capture, taken = camera.capture, []
+
+    def late():
+        taken.append(capture())
+        return taken[-2] if len(taken) in (WHITE + 4, WHITE + 5, WHITE + 6) else taken[-1]
+
+    camera.capture = late
+    with lights, camera:
+        session = run_session(camera, lights, finger.rig, ONCE)
+    assert "white 3 shows the light of white 2: the camera gave another frame" in session.verdict[0]
+
+    camera, lights, _ = twin_devices(finger)
+    capture, number = camera.capture, []
+
+    def shorter():
+        number.append(1)
+        frame = capture()
+        if len(number) != WHITE + 4:
+            return frame
+        return replace(frame, pixels=np.rint(frame.pixels / 1.15).astype(np.uint8))
+
+    camera.capture = shorter
+    with lights, camera:
+        session = run_session(camera, lights, finger.rig, ONCE)
+    assert session.verdict[0].startswith("white 3 is 13 % off the light that its preview showed")
+    assert max(shot.misfit for shot in session.shots if shot.name == "white 4") < 0.01
+
+
+ONCE = SessionSettings(checks=CheckSettings(retries=0))
+
+
 def test_a_target_needs_no_finger(faulty, finger):
     session = captured(
         finger, faulty, SessionSettings(find_finger=False), moves_mm={WHITE + 2: (3.0, 0.0)}

@@ -40,13 +40,13 @@ def fit_response(
 ) -> Response:
     """Judge the response of a camera.
 
-    Raises BadInput if the exposures are too few or too similar, no response explains them, or the response is neither linear nor sRGB. `values`: (J, N) of N
-    unchanging places (means of small even patches) at J exposures, of full scale; NaN clipped;
-    `exposure_s`: (J,) exposure times (times gain), any unit; `limit_percent`: values are linear if
-    they depart from a line by no more, in per cent of full scale; `name`: of the series, for
-    messages. Source: T. Mitsunaga and S. K. Nayar, "Radiometric self calibration", CVPR 1999, eq.
-    9; P. Debevec and J. Malik, "Recovering high dynamic range radiance maps from photographs",
-    SIGGRAPH 1997, section 2.
+    Raises BadInput if the exposures are too few or too similar, no response explains them, or the
+    response is neither linear nor sRGB. `values`: (J, N) of N unchanging places (means of small
+    even patches) at J exposures, of full scale; NaN clipped; `exposure_s`: (J,) exposure times
+    (times gain), any unit; `limit_percent`: values are linear if they depart from a line by no
+    more, in per cent of full scale; `name`: of the series, for messages. Source: T. Mitsunaga and
+    S. K. Nayar, "Radiometric self calibration", CVPR 1999, eq. 9; P. Debevec and J. Malik,
+    "Recovering high dynamic range radiance maps from photographs", SIGGRAPH 1997, section 2.
 
     >>> import numpy as np
     >>> light, times = np.linspace(0.01, 0.1, 200), np.array([1.0, 2.0, 4.0, 8.0])
