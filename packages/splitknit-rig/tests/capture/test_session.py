@@ -259,12 +259,13 @@ def test_a_frame_of_another_led_or_exposure_is_refused(finger):
 ONCE = SessionSettings(checks=CheckSettings(retries=0))
 
 
-def test_a_target_needs_no_finger(faulty, finger):
-    session = captured(
-        finger, faulty, SessionSettings(find_finger=False), moves_mm={WHITE + 2: (3.0, 0.0)}
-    )
+def test_a_target_needs_no_finger_and_stays_where_it_is(faulty, finger):
+    target = SessionSettings(find_finger=False)
+    session = captured(finger, faulty, target)
     assert session.verdict == ()
     assert session.capture(finger.rig, material="opaque").material == "opaque"
+    moved = captured(finger, faulty, target, moves_mm={WHITE + 2: (3.0, 0.0)})
+    assert "white 2 is " in moved.verdict[0] and "its preview showed" in moved.verdict[0]
 
 
 def test_a_rig_that_does_not_match_the_devices_is_refused(finger):

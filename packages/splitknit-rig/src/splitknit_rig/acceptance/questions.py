@@ -366,16 +366,17 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
         for result in results:
             spoilt = [str(each) for each in result.findings if each.severity == Severity.SPOILS]
             require(not spoilt, "".join(spoilt[:1]))
-        yield _answer(REPEAT, _repeatability(results[0], results[1]))
+        yield _answer(REPEAT, _LaidOver.of(*results).likeness)
 
     def flicker() -> Iterator[Answer]:
-        inside = _well_inside(results[0]) & _well_inside(results[1])
+        over = _LaidOver.of(*results)
         rig = _used(captures[0]).rig
         changes = np.zeros(len(rig.leds))
         first, second = (observe(_used(taken)).bands for taken in captures)
         for name in first.keys() & second.keys() - {"white_crossed"}:
             leds = [led for (led,) in first[name].lights]
-            changes[leds] = _changes(first[name].grey, second[name].grey, inside)
+            after = np.stack([_moved(image, over.move) for image in second[name].grey])
+            changes[leds] = _changes(first[name].grey, after, over.inside)
         percent = 100 * changes
         yield _answer(FLICKER, float(percent.max()), _beyond(percent, FLICKER.limit, rig))
 
@@ -418,8 +419,7 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
 
 def _changes(first: FloatArray, second: FloatArray, inside: BoolArray) -> Array:
     """(L,) by how much each image's light changed most in a strip of rows, relative to all."""
-    require(first.shape == second.shape, "the finger's two captures differ in size.")
-    strips = np.array_split(np.flatnonzero(inside.any(axis=1)), 8)
+    strips = np.array_split(np.flatnonzero(inside.any(axis=1)), 4)
     ratios = np.empty((len(first), len(strips)))
     for n, rows in enumerate(strips):
         before, after = (
@@ -433,25 +433,38 @@ def _well_inside(result: Reconstruction) -> BoolArray:
     return eroded(result.mask & np.isfinite(result.height_mm), EROSION_MM / result.pitch_mm)
 
 
-def _repeatability(first: Reconstruction, second: Reconstruction) -> float:
-    """Correlation of the ridges of two surfaces, the shift between them undone."""
-    require(first.mask.shape == second.mask.shape, "the finger's two captures differ in size.")
-    box = bounding_box(first.mask | second.mask)
+@dataclass(frozen=True, slots=True, eq=False)
+class _LaidOver:
+    """The second of two captures' surfaces, moved onto the first."""
 
-    def ridges(result: Reconstruction) -> FloatArray:
-        relief = np.nan_to_num(np.where(result.mask, result.ridge_mm, 0.0)).astype(np.float32)
-        return high_passed(relief[box], result.mask[box], BAND_SIGMA_MM / result.pitch_mm)
+    move: Array
+    """(2, 3) of the first one's columns and rows, in the whole picture, to the second's."""
+    likeness: float
+    """Correlation of the ridges."""
+    inside: BoolArray
+    """(H, W) where both are well known."""
 
-    whole = [_well_inside(result)[box] for result in (first, second)]
-    a, b = (
-        np.where(inside, ridges(r), 0.0).astype(np.float32)
-        for inside, r in zip(whole, (first, second), strict=True)
-    )
-    require(all(map(np.any, whole)), "the finger shows too little skin.")
-    shift, _ = cv2.phaseCorrelate(a, b)
-    move = np.column_stack([np.eye(2), -np.array(shift)])
-    size = b.shape[::-1]
-    b = np.asarray(cv2.warpAffine(b, move, size, flags=cv2.INTER_CUBIC))
-    there = cv2.warpAffine(whole[1].astype(np.float32), move, size)
-    both = whole[0] & (there > 0.99)
-    return float(np.corrcoef(a[both], b[both])[0, 1])
+    @classmethod
+    def of(cls, first: Reconstruction, second: Reconstruction) -> _LaidOver:
+        """Undo the shift between two surfaces, of what shows in both."""
+        require(first.mask.shape == second.mask.shape, "the finger's two captures differ in size.")
+
+        def ridges(result: Reconstruction) -> FloatArray:
+            relief = np.nan_to_num(np.where(result.mask, result.ridge_mm, 0.0)).astype(np.float32)
+            sharp = high_passed(relief, result.mask, BAND_SIGMA_MM / result.pitch_mm)
+            return np.where(_well_inside(result), sharp, 0.0).astype(np.float32)
+
+        a, b = ridges(first), ridges(second)
+        require(bool(a.any() and b.any()), "the finger shows too little skin.")
+        box = bounding_box(first.mask | second.mask)
+        shift, _ = cv2.phaseCorrelate(a[box], b[box])
+        move = np.column_stack([np.eye(2), np.array(shift)])
+        there = _moved(_well_inside(second).astype(np.float32), move)
+        inside = _well_inside(first) & (there > 0.99)
+        likeness = float(np.corrcoef(a[inside], _moved(b, move)[inside])[0, 1])
+        return cls(move, likeness, inside)
+
+
+def _moved(image: FloatArray, move: Array) -> FloatArray:
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(image, move, image.shape[::-1], flags=flags))

@@ -167,6 +167,10 @@ def find_exposure(
         frame = look(brightest, *wanted)
         time_s, gain = frame.exposure_s, frame.gain  # what the sensor made of it
         level = _level_of(frame, region)
+    if np.isclose(time_s * gain, seen.exposure_s * seen.gain, rtol=0.05):
+        # what a camera may keep of an earlier setting must not look alike in preview and shot
+        frame = look(brightest, *exposure_of(time_s * gain / EXPOSURE_STEP, camera, settings))
+        time_s, gain, level = frame.exposure_s, frame.gain, _level_of(frame, region)
     require(
         level >= 0.3 * settings.target,
         f"the finger is too dark: with {1e3 * time_s:.0f} ms at gain {gain:.1f} its brightest LED"
