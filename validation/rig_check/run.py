@@ -146,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows: list[dict[str, Any]] = []
     if chosen.out.is_file():
         with chosen.out.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
+            rows = [row for row in csv.DictReader(file) if "note" in row]  # else of older questions
     done = {(int(row["seed"]), row["rig"]) for row in rows}
     waiting = [(seed, SOUND) for seed in chosen.sound if not chosen.new]
     waiting += [(seed, name) for seed in chosen.faulty for name in defects]
