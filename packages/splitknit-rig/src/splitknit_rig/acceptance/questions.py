@@ -197,7 +197,7 @@ def answers_of_card(card: Taken, rig: Rig, plane: CardPlane) -> list[Answer]:
         images = card_images(_used(card), rig, may_be_dark=True)
         _, own, beams = beside_calibration(images, rig, plane)
         lit = own > _UNLIT
-        yield _answer(LIT, float(np.sum(~lit)), _beyond(~lit, 0.5, rig))
+        yield _answer(LIT, float(np.sum(~lit)), "" if lit.all() else _beyond(~lit, 0.5, rig))
         yield _answer(EXPOSED, 100 * float(images.brightest[lit].min()))
         for question, off in ((BRIGHT, np.abs(own - 1)), (BEAM, beams)):
             percent = np.where(lit, 100 * off, 0.0)
@@ -224,7 +224,7 @@ _UNLIT = 0.12  # of its band's light, as a capture session has it
 def _specks(card: Capture, px_per_mm: float) -> tuple[float, str]:
     """How many specks a card shows in all images, and where the strongest is."""
     stack = np.concatenate([light.grey for light in observe(card).bands.values()])
-    flat = np.mean(stack / np.maximum(stack.mean(axis=(1, 2), keepdims=True), 1e-6), axis=0)
+    flat = stack.mean(axis=0)
     departure = cv2.GaussianBlur(flat / wide_blur(flat, px_per_mm), (0, 0), 0.7) - 1.0
     specks = (np.abs(departure) > _SPECK).astype(np.uint8)
     _, _, stats, _ = cv2.connectedComponentsWithStats(specks)
