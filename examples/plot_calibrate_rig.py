@@ -69,9 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
         f" {height:.1f} by the circle"
     )
     print("LED      circle, mean of nails   joint fit   stated (95 %)   as drawn")
-    for k, (circle_led, joint_led, limit) in enumerate(
-        zip(plain, joint.leds, joint.interval_deg, strict=True)
-    ):
+    for k, (circle_led, joint_led) in enumerate(zip(plain, joint.leds, strict=True)):
         true = np.asarray(rig.leds[k].position_mm)
         drawn = 52.5 * np.array([np.cos(2 * np.pi * k / 7), np.sin(2 * np.pi * k / 7), 140 / 52.5])
         errors = [
@@ -79,8 +77,8 @@ def main(arguments: list[str] | None = None) -> int:
             for p in (circle_led.position_mm, joint_led.position_mm, drawn)
         ]
         print(
-            f"white {k}  {errors[0]:14.2f} deg {errors[1]:13.2f} deg {limit:9.2f} deg"
-            f" {errors[2]:11.2f} deg"
+            f"white {k}  {errors[0]:14.2f} deg {errors[1]:13.2f} deg"
+            f" {joint_led.interval_deg:9.2f} deg {errors[2]:11.2f} deg"
         )
     return 0
 

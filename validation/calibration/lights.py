@@ -105,8 +105,9 @@ def tables(rigs: int, nail_mm: float) -> dict[str, Any]:
             fit = by_joint_fit(tips, rig.camera, CIRCLE, settings)
             errors_deg = _errors(fit.leds, rig)
             _note(errors, name, errors_deg)
-            _note(inside, name, errors_deg <= fit.interval_deg)
-            _note(widths, name, fit.interval_deg)
+            interval_deg = np.array([led.interval_deg for led in fit.leds])
+            _note(inside, name, errors_deg <= interval_deg)
+            _note(widths, name, interval_deg)
     return {
         name: {
             **_figures(np.array(values)),

@@ -1,11 +1,13 @@
 """Does the acceptance test pass sound rigs, and name what is wrong with others?
 
     python validation/rig_check/run.py                      # 20 sound rigs, 3 with each defect
+    python validation/rig_check/run.py --new                # the new defects, alone and in pairs
     python validation/rig_check/run.py --sound 100:110 --faulty 100:102 --out /tmp/chosen.csv
 
 Twins as people build them (:mod:`twins`), card, ball, phantom and finger rendered, photographed and
 judged as `splitknit rig check` does. Limits were chosen on seeds from 100 on; what is reported
-begins at 1000. A row of the table is a question of one rig.
+begins at 1000. A row of the table is a question of one rig. A run that was ended goes on where it
+was: rigs that the table has are not tested again.
 """
 
 from __future__ import annotations
@@ -22,7 +24,16 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
-from twins import BEHIND_FILMS, DEFECTS, Twin, behind_films, twin  # noqa: E402
+from twins import (  # noqa: E402
+    BEHIND_FILMS,
+    DEFECTS,
+    NEW,
+    PAIRS,
+    Twin,
+    behind_films,
+    defective,
+    twin,
+)
 
 from splitknit_rig.acceptance.questions import (  # noqa: E402
     Answer,
@@ -47,21 +58,23 @@ def judged(rig: Twin, fingers: dict[Any, tuple[Any, list[Answer]]]) -> list[Answ
     answers = answers_of_sensor(card, *series) + answers_of_card(card, rig.file, plane)
     answers += answers_of_ball(ball, rig.file, 16.0) + answers_of_phantom(phantom)
     parts = (rig.finger, rig.file, rig.films)
-    same = (*map(id, parts), rig.store, rig.exposure, rig.moving_mm)
+    same = (*map(id, parts), rig.store, rig.exposure, rig.moving_mm, rig.flicker)
     if same not in fingers:
         fingers[same] = parts, answers_of_finger(*rig.fingers())  # parts: so that ids stay theirs
     return answers + fingers[same][1]
 
 
-def rows_of(seed: int, defects: Sequence[str]) -> list[dict[str, Any]]:
-    """Answers of a sound twin, and of the same twin with each defect."""
+def rows_of(seed: int, rigs: Sequence[str]) -> list[dict[str, Any]]:
+    """Answers of a twin: sound, with films, with a defect or with two."""
     sound = twin(seed)
-    films = replace(sound, films=behind_films(sound)) if defects else sound
     rows: list[dict[str, Any]] = []
     fingers: dict[Any, tuple[Any, list[Answer]]] = {}
-    for name in [SOUND, *([WITH_FILMS] if defects else []), *defects]:
-        before = films if name in (WITH_FILMS, BEHIND_FILMS) else sound
-        rig = DEFECTS[name](before) if name in DEFECTS else before
+    with_films = {WITH_FILMS, BEHIND_FILMS} & {*rigs}
+    films = replace(sound, films=behind_films(sound)) if with_films else sound
+    for name in rigs:
+        rig = films if name in (WITH_FILMS, BEHIND_FILMS) else sound
+        if name not in (SOUND, WITH_FILMS):
+            rig = defective(rig, name)
         print(f"seed {seed}: {name}", file=sys.stderr, flush=True)
         for answer in judged(rig, fingers):
             rows.append(
@@ -72,21 +85,34 @@ def rows_of(seed: int, defects: Sequence[str]) -> list[dict[str, Any]]:
                     "measured": "" if answer.measured is None else answer.measured,
                     "limit": answer.limit,
                     "passed": int(answer.passed),
+                    "note": answer.note,
                 }
             )
     return rows
 
 
+def names(rows: Sequence[dict[str, Any]], name: str) -> bool:
+    """Whether, of a rig with one or two new defects, each is named by a question of its own."""
+    failed = [row["question"] for row in rows if not int(row["passed"])]
+    parts = name.split(" + ")
+    return all(any(q.startswith(NEW[part][1]) for q in failed) for part in parts)
+
+
 def summary(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
     """A line for each kind of rig: rigs, how many failed, and the questions that failed."""
-    lines = [["rig", "rigs", "failed", "questions that failed (rigs)"]]
+    lines = [["rig", "rigs", "failed", "named", "questions that failed (rigs)"]]
     for name in dict.fromkeys(row["rig"] for row in rows):
         own = [row for row in rows if row["rig"] == name]
         failed = [row for row in own if not int(row["passed"])]
         counts = {q: sum(r["question"] == q for r in failed) for q in (r["question"] for r in own)}
         questions = "; ".join(f"{q} ({n})" for q, n in counts.items() if n)
-        rigs = len({row["seed"] for row in own})
-        lines.append([name, str(rigs), str(len({row["seed"] for row in failed})), questions])
+        seeds = {row["seed"] for row in own}
+        named = ""
+        if name.split(" + ")[0] in NEW:
+            of_rigs = [[row for row in own if row["seed"] == seed] for seed in seeds]
+            named = str(sum(names(each, name) for each in of_rigs))
+        fails = len({row["seed"] for row in failed})
+        lines.append([name, str(len(seeds)), str(fails), named, questions])
     return lines
 
 
@@ -110,14 +136,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--faulty", type=_seeds, default=range(1000, 1003), help="seeds, FIRST:END")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=TABLES / "answers.csv")
+    parser.add_argument("--new", action="store_true", help="new defects and pairs, in new.csv")
     chosen = parser.parse_args(arguments)
-    seeds = sorted({*chosen.sound, *chosen.faulty})
-    defects = [list(DEFECTS) if seed in chosen.faulty else [] for seed in seeds]
+    if chosen.new:
+        chosen.out = chosen.out.with_name("new.csv")
+    defects = [WITH_FILMS, *DEFECTS]
+    if chosen.new:
+        defects = [*NEW, *map(" + ".join, PAIRS)]
     rows: list[dict[str, Any]] = []
+    if chosen.out.is_file():
+        with chosen.out.open(newline="", encoding="utf-8") as file:
+            rows = [row for row in csv.DictReader(file) if "note" in row]  # else of older questions
+    done = {(int(row["seed"]), row["rig"]) for row in rows}
+    waiting = [(seed, SOUND) for seed in chosen.sound if not chosen.new]
+    waiting += [(seed, name) for seed in chosen.faulty for name in defects]
+    waiting = [each for each in waiting if each not in done]
+    groups = [waiting[k : k + 6] for k in range(0, len(waiting), 6)]
+    groups = [
+        [each for each in group if each[0] == seed] for group in groups for seed in dict(group)
+    ]
     chosen.out.parent.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(chosen.workers) as pool:
-        for own in pool.map(rows_of, seeds, defects):
-            rows += own
+        seeds = [group[0][0] for group in groups]
+        of_seeds = [[name for _, name in group] for group in groups]
+        for own_rows in pool.map(rows_of, seeds, of_seeds):
+            rows += own_rows
             write(rows, chosen.out)
     lines = summary(rows)
     with chosen.out.with_stem(f"{chosen.out.stem}_summary").open("w", newline="") as file:

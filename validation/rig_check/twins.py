@@ -80,6 +80,7 @@ class Twin:
     store: Store = lambda pixels: pixels  # what the camera does with its picture
     exposure: float = 1.0  # of what is right
     moving_mm: float = 0.0  # from shot to shot
+    flicker: float = 0.0  # of the light, from photograph to photograph
     films: Capture | None = None  # of the same finger behind films
 
     def lights(self, change: Callable[[Lit], Lit]) -> Twin:
@@ -134,6 +135,9 @@ class Twin:
 
     def _photo(self, light: FloatArray, band: str, seeds: np.random.SeedSequence) -> PixelArray:
         scale = binning_scale(self.rig.camera)
+        if self.flicker:
+            rng = np.random.default_rng(seeds.spawn(1)[0])
+            light = light * np.float32(1.0 + self.flicker * rng.standard_normal())
         return self.store(record(light, band, seeds.spawn(1)[0], SensorSettings(), scale))
 
 
@@ -278,9 +282,9 @@ def _other_led(twin: Twin, change: Callable[[Led], Led]) -> Twin:
     return replace(twin, rig=rig, card=card_of(rig, tilt), **solids(rig, tilt))
 
 
-def _moved(led: Led) -> Led:
+def _moved(led: Led, mm: float = 3.0) -> Led:
     x, y, z = led.position_mm or (0.0, 0.0, 0.0)
-    return replace(led, position_mm=(x + 3.0, y, z))
+    return replace(led, position_mm=(x + mm, y, z))
 
 
 def tilted(led: Led, deg: float = 10.0) -> Led:
@@ -290,9 +294,9 @@ def tilted(led: Led, deg: float = 10.0) -> Led:
     return replace(led, aim=(float(aim[0]), float(aim[1]), float(aim[2])))
 
 
-def _camera_turned(twin: Twin) -> Twin:
+def _camera_turned(twin: Twin, deg: float = 3.0) -> Twin:
     rows, columns = twin.rig.camera.image_size
-    turn = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), 3.0, 1.0)
+    turn = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), deg, 1.0)
     return twin.lights(lambda lit: lit.warped([turn] * len(lit.leds)))
 
 
@@ -353,6 +357,77 @@ def _not_crossed(twin: Twin) -> Twin:
     return replace(twin, films=replace(twin.films, bands=bands))
 
 
+def _everywhere(change: Callable[[FloatArray], FloatArray]) -> Callable[[Twin], Twin]:
+    """A defect of lens or sensor: `change` of every image, dark or lit."""
+
+    def changed(lit: Lit) -> Lit:
+        return Lit(np.stack([change(image) for image in lit.leds]), change(lit.dark))
+
+    return lambda twin: twin.lights(changed)
+
+
+def _spots(image: NDArray[Any], radius_px: float) -> FloatArray:
+    """(H, W, 1) 25 round spots, one in their middles."""
+    rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
+    spots = np.zeros(image.shape[:2])
+    for row, column in np.random.default_rng(25).random((25, 2)) * image.shape[:2]:
+        square = (rows - row) ** 2 + (columns - column) ** 2
+        spots = np.maximum(spots, np.exp(-0.5 * square / radius_px**2))
+    return spots[..., None].astype(np.float32)
+
+
+def _specks(image: FloatArray) -> FloatArray:
+    """Dust on the sensor: a tenth darker."""
+    return np.asarray(image * (1.0 - np.float32(0.1) * _spots(image, 2.0)))
+
+
+def _stuck(pixels: PixelArray) -> PixelArray:
+    """Pixels that are white whatever they see."""
+    return np.asarray(np.where(_spots(pixels, 0.5) > 0.6, np.uint8(255), pixels))
+
+
+def _smear(image: FloatArray) -> FloatArray:
+    """Along two pixels, 0.13 mm, at 30 deg: a camera that trembles."""
+    kernel = np.zeros((5, 5), dtype=np.float32)
+    for part in np.linspace(-1.0, 1.0, 41):
+        x, y = 2.0 + part * np.cos(np.pi / 6), 2.0 + part * np.sin(np.pi / 6)
+        left, top = int(x), int(y)
+        across, down = x - left, y - top
+        square = np.outer([1 - down, down], [1 - across, across])
+        kernel[top : top + 2, left : left + 2] += square
+    filtered = cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(filtered)
+
+
+def _thumbprint(image: FloatArray) -> FloatArray:
+    """On the lens: a fifth of the light is spread over 3 mm."""
+    spread = cv2.GaussianBlur(image, (0, 0), 45.0)
+    return np.asarray(np.float32(0.8) * image + np.float32(0.2) * spread)
+
+
+def _shadowed(image: FloatArray) -> FloatArray:
+    """Something before the lens shadows a corner."""
+    rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
+    away = (np.hypot(rows, columns) / 150.0)[..., None].astype(np.float32)
+    return np.asarray(image * np.clip(0.5 + 0.5 * away, 0.5, 1.0))
+
+
+def _nir_exchanged(leds: FloatArray, dark: FloatArray) -> FloatArray:
+    leds[[9, 12]] = leds[[12, 9]]
+    return leds
+
+
+def _slightly_dim(leds: FloatArray, dark: FloatArray) -> FloatArray:
+    leds[10] = dark + np.float32(0.95) * (leds[10] - dark)
+    return leds
+
+
+def _saturating(pixels: PixelArray) -> PixelArray:
+    """A sensor that bends from 60 % of full scale on."""
+    values = pixels.astype(np.float64)
+    return np.rint(np.where(values > 153, 153 + 0.6 * (values - 153), values)).astype(np.uint8)
+
+
 BEHIND_FILMS = "analyser does not turn"
 """The defect of a rig with films."""
 DEFECTS: dict[str, Callable[[Twin], Twin]] = {
@@ -378,3 +453,49 @@ DEFECTS: dict[str, Callable[[Twin], Twin]] = {
     BEHIND_FILMS: _not_crossed,
 }
 """Each makes of a sound twin one with a defect."""
+
+
+NEW: dict[str, tuple[Callable[[Twin], Twin], tuple[str, ...]]] = {
+    "an LED 2 mm off": (
+        lambda twin: _other_led(twin, lambda led: _moved(led, 2.0)),
+        ("direction",),
+    ),
+    "beam of an LED twice as narrow": (
+        lambda twin: _other_led(
+            twin, lambda led: replace(led, lobe_exponent=2.0 * led.lobe_exponent + 1.0)
+        ),
+        ("light across",),
+    ),
+    "camera turned by 1 deg": (lambda twin: _camera_turned(twin, 1.0), ("turn of all",)),
+    "25 specks on the sensor": (_everywhere(_specks), ("specks",)),
+    "25 stuck pixels": (lambda twin: replace(twin, store=_stuck), ("specks",)),
+    "every shot smeared by 0.13 mm": (_everywhere(_smear), ("smear",)),
+    "a thumbprint on the lens": (_everywhere(_thumbprint), ("haze", "light across")),
+    "a corner shadowed": (_everywhere(_shadowed), ("light across",)),
+    "two NIR LEDs exchanged": (_each(_nir_exchanged), ("LEDs out",)),
+    "an NIR LED 5 % dim": (_each(_slightly_dim), ("brightness",)),
+    "light flickers by 6 %": (lambda twin: replace(twin, flicker=0.06), ("flicker",)),
+    "a sensor that saturates early": (lambda twin: replace(twin, store=_saturating), ("linear",)),
+}
+"""Defects that the test was extended for, and the questions, by their first words, that name
+them."""
+PAIRS = (
+    ("an LED 2 mm off", "camera turned by 1 deg"),
+    ("an LED 2 mm off", "an NIR LED 5 % dim"),
+    ("beam of an LED twice as narrow", "25 specks on the sensor"),
+    ("camera turned by 1 deg", "every shot smeared by 0.13 mm"),
+    ("25 specks on the sensor", "light flickers by 6 %"),
+    ("every shot smeared by 0.13 mm", "an NIR LED 5 % dim"),
+    ("two NIR LEDs exchanged", "an NIR LED 5 % dim"),
+    ("light flickers by 6 %", "two NIR LEDs exchanged"),
+    ("a corner shadowed", "camera turned by 1 deg"),
+    ("a sensor that saturates early", "25 specks on the sensor"),
+)
+"""Two at once; the first is made first, as what is rendered again forgets what was changed."""
+
+
+def defective(twin: Twin, name: str) -> Twin:
+    """A sound twin with a defect, or with two, their names joined by `` + ``."""
+    for part in name.split(" + "):
+        twin = (DEFECTS[part] if part in DEFECTS else NEW[part][0])(twin)
+    return twin

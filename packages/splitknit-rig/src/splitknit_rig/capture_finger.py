@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import sys
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
@@ -28,7 +27,6 @@ from splitknit.settings import Limits, flatten
 if TYPE_CHECKING:
     from splitknit.devices import Opened
     from splitknit.io.enrolment import PlannedCapture
-    from splitknit_rig.capture.exposure import Focus, FocusWatch
     from splitknit_rig.capture.openers import Opener
 
     Target = str | None
@@ -183,7 +181,6 @@ def capture(
         material="opaque" if target is not None else "skin",
         keep=keep,
         overwrite=overwrite,
-        watch_focus=_FocusBar() if sys.stderr.isatty() else None,
         turn=_turn if asks else None,
         ask=_ask if asks else None,
     )
@@ -336,21 +333,3 @@ def _turn(position: str) -> None:
     require(
         sys.stdin.readline() != "", "the analyser was not turned: nobody answered on the terminal."
     )
-
-
-class _FocusBar:
-    """Shows focus live on the terminal; Enter ends it."""
-
-    def __call__(self, focus: Focus, watch: FocusWatch) -> bool:
-        width = 30
-        full = round(width * min(focus.sharpness / watch.best, 1.0)) if watch.best > 0 else 0
-        bar = "#" * full + "." * (width - full)
-        text = f"focus |{bar}| {focus.sharpness:5.2f} %, best {watch.best:5.2f} (Enter: go on)"
-        sys.stderr.write(f"\r{text}")
-        sys.stderr.flush()
-        done = sys.stdin.isatty() and bool(select.select([sys.stdin], [], [], 0)[0])
-        if done:
-            sys.stdin.readline()
-        if done or watch.ended:
-            sys.stderr.write(f"\r{' ' * len(text)}\r")
-        return done

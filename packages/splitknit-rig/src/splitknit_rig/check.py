@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -181,22 +181,11 @@ def check_rig(
             "out": str(out),
         }
         (folder / "check.json").write_text(json_text(facts), encoding="utf-8")
-        page = template(Path(__file__).parent / "acceptance" / "page.html").render(
-            **_words(facts), rows=_rows(answers)
-        )
+        page = template(Path(__file__).parent / "acceptance" / "page.html")
+        page = page.render(facts, rig=Path(rig).name, rows=_rows(answers))
         (folder / "check.html").write_text(page, encoding="utf-8")
     progress("done", 1.0)
     return RigCheck(answers, facts)
-
-
-def _words(facts: Mapping[str, Any]) -> dict[str, str]:
-    return {
-        "verdict": facts["answer"],
-        "rig": Path(facts["rig"]).name,
-        "tested_at": facts["tested_at"],
-        "version": facts["version"],
-        "ball_mm": f"{facts['ball_mm']:g}",
-    }
 
 
 _LAY = {

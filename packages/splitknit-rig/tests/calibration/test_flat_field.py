@@ -9,7 +9,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.model import Led
 from splitknit.nominal import default_rig, nominal_rig
-from splitknit_rig.calibration.card_model import LADDER, Answer, CardModel, CardPlane, card_light
+from splitknit_rig.calibration.card_model import CardModel, CardPlane, card_light
 from splitknit_rig.calibration.flat_field import fit_flat_field
 from splitknit_simulator.rigs import built_rig
 from white_cards import as_placed, scene_of
@@ -89,23 +89,21 @@ def test_light_and_lens_are_measured_although_places_are_off(rig, error_mm):
 
 
 @pytest.mark.slow
-def test_the_simplest_model_that_explains_the_images_is_chosen():
+def test_a_plain_lens_and_beams_without_aims_come_out_as_such():
     rig = default_rig(0.08, seed=4)
     noise = 1 + 0.002 * np.random.default_rng(1).standard_normal((14, len(grid(rig.camera))))
     flat = fit_flat_field(rig.camera, rig.leds, grid(rig.camera), card_brightness(rig) * noise)
-    assert flat.order == LADDER[0]
-    assert flat.camera.shading == ()
+    assert np.abs(flat.camera.shading).max() < 0.01
     assert [led.intensity for led in flat.leds] == pytest.approx(
         [led.intensity / np.mean([each.intensity for each in rig.leds]) for led in rig.leds],
         rel=2e-3,
     )
+    assert relative_error(modelled(flat), card_brightness(rig)).max() < 0.004
     beams = nominal_rig(0.08)
     flat = fitted(beams, card_brightness(beams) * noise)
-    assert flat.order == LADDER[2]
     for k in (0, 7):
-        assert flat.leds[k].lobe_exponent == pytest.approx(beams.leds[k].lobe_exponent, abs=0.3)
-    assert all(led.aim is None for led in flat.leds)
-    assert [name for name, _, _ in flat.orders] == [order.name for order in LADDER]
+        assert flat.leds[k].lobe_exponent == pytest.approx(beams.leds[k].lobe_exponent, abs=0.6)
+    assert relative_error(modelled(flat), card_brightness(beams)).max() < 0.004
 
 
 @pytest.mark.slow
@@ -123,23 +121,15 @@ def test_dust_is_left_out_of_the_fit(rig):
 
 
 def test_the_jacobian_agrees_with_differences(rig):
-    pixels = grid(rig.camera, 30)
-    model = CardModel(rig.camera, rig.leds, pixels, CardPlane(1.0))
+    model = CardModel(rig.camera, rig.leds, grid(rig.camera, 30), CardPlane(1.0))
     rng = np.random.default_rng(5)
-    answer = Answer(
-        1 + rng.random(14),
-        1 + 5 * rng.random(14),
-        rng.normal(0, 0.05, (14, 2)),
-        np.array([-0.1, -0.2]),
-    )
-    for order in LADDER:
-        vector = model.vector(answer, order)
-        jacobian = model.jacobian(model.answer(vector, order), order)
-        for place, step in enumerate(1e-5 * np.eye(len(vector))):
-            up, down = (
-                model.logarithm(model.answer(v, order)) for v in (vector + step, vector - step)
-            )
-            assert np.abs((up - down) / 2e-5 - jacobian[..., place]).max() < 1e-6
+    tilt = rng.normal(0, 0.05, (14, 2))
+    of_leds = np.column_stack([rng.random(14), 1 + 5 * rng.random(14), tilt])
+    vector = np.concatenate([[-0.1, -0.2], of_leds.ravel()])
+    jacobian = model.jacobian(vector)
+    for place, step in enumerate(1e-5 * np.eye(len(vector))):
+        up, down = model.logarithm(vector + step), model.logarithm(vector - step)
+        assert np.abs((up - down) / 2e-5 - jacobian[..., place]).max() < 1e-6
 
 
 @pytest.mark.slow

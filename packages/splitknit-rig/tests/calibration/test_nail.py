@@ -96,7 +96,7 @@ def test_errors_by_noise_stay_within_the_intervals(camera):
         leds = rig(seed)
         fit = by_joint_fit(seen(leds, camera, tip_px=1.0, nail_mm=0.1, seed=seed), camera, CIRCLE)
         errors.append(errors_deg(fit, leds))
-        inside.append(errors[-1] < fit.interval_deg)
+        inside.append(errors[-1] < [led.interval_deg for led in fit.leds])
         assert 0.3 < fit.rms_px < 1.3
     assert np.mean(errors) < 0.4
     assert np.mean(inside) > 0.9

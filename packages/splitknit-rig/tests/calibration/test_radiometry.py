@@ -112,9 +112,6 @@ def test_the_provenance_states_the_fit_of_every_led(rig, calibrated):
     assert facts["ambient_percent"]["white"] == pytest.approx(0.2, abs=0.05)
     assert facts["card"]["exposures_given"] is True
     assert facts["lens"]["corner"] == pytest.approx(1 + sum(rig.camera.shading), abs=0.01)
-    tried = [model["rms_percent"] for model in facts["model"]["tried"]]
-    assert tried[0] > 3
-    assert tried[-1] < 0.4
     again = rig_from_json(rig_to_json(calibrated.rig))
     assert canonical_json(again.provenance) == canonical_json(calibrated.rig.provenance)
     assert again.leds == calibrated.rig.leds

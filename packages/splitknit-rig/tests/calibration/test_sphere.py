@@ -1,5 +1,6 @@
 """Balls shaded and mirrored by hand, and those of the twin's bench."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from splitknit_rig.calibration.sphere import (
     find_ball,
     grey_directions,
     rim_of,
+    smear_px,
 )
 from splitknit_simulator.calibration_set.solids import SphereScene
 
@@ -95,6 +97,22 @@ def test_the_rim_replaces_a_misplaced_outline(offset):
     noise = np.random.default_rng(0).random(stack.shape, dtype=np.float32)
     assert rim_of(noise, off)[1] < 0.5
     assert rim_of(stack, Ball(BALL.column, BALL.row, 20.0))[1] == 0.0
+
+
+@pytest.mark.parametrize("towards_deg", [0.0, 30.0, 90.0])
+def test_a_smear_is_measured_and_a_lens_out_of_focus_is_none(towards_deg):
+    rows, columns = np.mgrid[:300, :300]
+    inside = np.clip(100.5 - np.hypot(columns - 151.0, rows - 149.0), 0, 1).astype(np.float32)
+    blurred = cv2.GaussianBlur(0.02 + inside, (0, 0), 1.5)
+    ball = Ball(151.3, 148.8, 100.2)
+    assert smear_px(blurred, ball) < 1.0
+    turn = np.deg2rad(towards_deg)
+    path = [(part * np.cos(turn), part * np.sin(turn)) for part in np.linspace(-2, 2, 25)]
+    moved = [
+        cv2.warpAffine(blurred, np.array([[1.0, 0.0, x], [0.0, 1.0, y]]), (300, 300))
+        for x, y in path
+    ]
+    assert smear_px(np.mean(moved, axis=0, dtype=np.float32), ball) == pytest.approx(4.0, rel=0.2)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit_rig.capture.exposure import Focus, FocusWatch, grey_light, measure_focus
+from splitknit_rig.capture.exposure import grey_light, measure_focus
 
 PX = 40.0
 
@@ -62,16 +62,6 @@ def test_sharpness_is_that_of_the_region():
     assert measure_focus(image, region, PX).sharpness < 0.01
     with pytest.raises(BadInput, match="empty"):
         measure_focus(image, np.zeros_like(region), PX)
-
-
-def test_the_live_measurement_ends_when_sharpness_stops_rising():
-    watch = FocusWatch()
-    ended = [watch.add(Focus(value, 1.0)) for value in (1.0, 2.0, *(1.9, 2.03) * 4)]
-    assert ended == [False] * 9 + [True]
-    assert watch.best == 2.03
-    assert watch.measured == 10
-    rising = FocusWatch()
-    assert [rising.add(Focus(1.1**k, 1.0)) for k in range(400)] == [False] * 399 + [True]
 
 
 def test_grey_light_is_the_mean_above_black():

@@ -216,24 +216,6 @@ def test_a_blurred_finger_spoils_the_session(sharp_finger):
     assert session.focus.snr > 1
 
 
-@pytest.mark.slow
-def test_focus_is_measured_until_it_is_stopped(finger, faulty):
-    camera, lights, _ = faulty(blur_mm={0: 0.3, 1: 0.2, 2: 0.1, 3: 0.0})
-    seen = []
-
-    def watch(focus, watching):
-        seen.append(focus.sharpness)
-        return len(seen) == 5
-
-    run_session(camera, lights, finger.rig, watch_focus=watch)
-    assert len(seen) == 5
-    seen.clear()
-    camera, lights, _ = faulty()
-    # never says stop
-    run_session(camera, lights, finger.rig, watch_focus=lambda focus, watching: seen.append(1))
-    assert 5 < len(seen) < 20
-
-
 def test_leds_are_off_after_an_interrupt(finger, faulty):
     camera, lights, _ = faulty()
     camera.capture = lambda: (_ for _ in ()).throw(KeyboardInterrupt)
@@ -242,12 +224,48 @@ def test_leds_are_off_after_an_interrupt(finger, faulty):
     assert lights.lit == frozenset()
 
 
-def test_a_target_needs_no_finger(faulty, finger):
-    session = captured(
-        finger, faulty, SessionSettings(find_finger=False), moves_mm={WHITE + 2: (3.0, 0.0)}
-    )
+def test_a_frame_of_another_led_or_exposure_is_refused(finger):
+    """A camera that gives the frame before instead, and one that exposes a step less than it
+    states."""
+    camera, lights, _ = twin_devices(finger)
+    capture, taken = camera.capture, []
+
+    def late():
+        taken.append(capture())
+        return taken[-2] if len(taken) in (WHITE + 4, WHITE + 5, WHITE + 6) else taken[-1]
+
+    camera.capture = late
+    with lights, camera:
+        session = run_session(camera, lights, finger.rig, ONCE)
+    assert "white 3 shows the light of white 2: the camera gave another frame" in session.verdict[0]
+
+    camera, lights, _ = twin_devices(finger)
+    capture, number = camera.capture, []
+
+    def shorter():
+        number.append(1)
+        frame = capture()
+        if len(number) != WHITE + 4:
+            return frame
+        return replace(frame, pixels=np.rint(frame.pixels / 1.15).astype(np.uint8))
+
+    camera.capture = shorter
+    with lights, camera:
+        session = run_session(camera, lights, finger.rig, ONCE)
+    assert session.verdict[0].startswith("white 3 is 13 % off the light that its preview showed")
+    assert max(shot.misfit for shot in session.shots if shot.name == "white 4") < 0.01
+
+
+ONCE = SessionSettings(checks=CheckSettings(retries=0))
+
+
+def test_a_target_needs_no_finger_and_stays_where_it_is(faulty, finger):
+    target = SessionSettings(find_finger=False)
+    session = captured(finger, faulty, target)
     assert session.verdict == ()
     assert session.capture(finger.rig, material="opaque").material == "opaque"
+    moved = captured(finger, faulty, target, moves_mm={WHITE + 2: (3.0, 0.0)})
+    assert "white 2 is " in moved.verdict[0] and "its preview showed" in moved.verdict[0]
 
 
 def test_a_rig_that_does_not_match_the_devices_is_refused(finger):

@@ -53,8 +53,10 @@ def read_photographs(folders: Mapping[str, Path], rig: Rig) -> tuple[Photographs
     hashes: dict[str, str] = {}
     for part, folder in folders.items():
         try:
-            captures[part] = capture = read_capture(folder)
-        except BadExposure as error:  # an LED that did not light: an answer
+            # a dark LED on card and ball is an answer
+            capture = read_capture(folder, may_be_dark=part in ("card", "ball"))
+            captures[part] = capture
+        except BadExposure as error:
             captures[part] = error
             continue
         rows, columns = capture.rig.camera.image_size

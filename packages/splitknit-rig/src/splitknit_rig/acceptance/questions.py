@@ -23,17 +23,17 @@ from splitknit.errors import require
 from splitknit.findings import Severity
 from splitknit.finger.motion import shot_motion
 from splitknit.finger.regions import reduce_image, reduce_mask
-from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.geometry import bounding_box, wide_blur
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.light import Light
 from splitknit.observation.observe import observe
 from splitknit_rig.acceptance.phantom import ridge_heights
 from splitknit_rig.calibration.ball_photos import place_on_plane
 from splitknit_rig.calibration.card_model import CardPlane, card_light, rays_to_led
-from splitknit_rig.calibration.lights import led_name
+from splitknit_rig.calibration.lights import led_name, listed
 from splitknit_rig.calibration.radiometry import CardImages, beside_calibration, card_images
 from splitknit_rig.calibration.sensor import fit_response
-from splitknit_rig.calibration.sphere import find_ball, grey_directions, rim_of
+from splitknit_rig.calibration.sphere import find_ball, grey_directions, rim_of, smear_px
 from splitknit_rig.capture.exposure import measure_focus
 from splitknit_rig.capture.shots import MAX_CROSSED, SHINE_PERCENTILE
 
@@ -58,6 +58,11 @@ judgement, checked on simulated fingers (effects.csv). Range: up to 2, with ambi
 LINEAR = Question("linearity", 0.5, "% of full scale")
 """1 % adds 0.03 to 0.11 mm rms to a finger's surface and up to 5 % to the error of its ridges; the
 sound twins have 0.03 %. Chosen on: simulated fingers (effects.csv). Range: at 2 up to 0.24 mm."""
+LIT = Question("LEDs that do not light", 0.0, "LEDs")
+SPECKS = Question("specks on sensor, lens or card", 3.0, "specks")
+"""Places darker, or stuck pixels brighter, by `_SPECK` than their surroundings in the mean of all
+images. What all images share is no slope of the surface, so that few do no harm."""
+_SPECK = 0.03  # of the light around it; the card's calibration leaves out what departs by 0.02
 EXPOSED = Question("darkest card", 25.0, "% of full scale", at_least=True)
 """99th percentile. A finger exposed so has up to 2 % more error in its ridges. Chosen on:
 judgement, checked on simulated fingers (effects.csv). Range: at 12.5 up to 3 %."""
@@ -80,15 +85,22 @@ RADIUS = Question("radius of the ball", 2.0, "% off the true one")
 """The finger's lengths err as much, its heights by 0.01 mm rms. Chosen on: judgement, checked on
 simulated fingers (effects.csv)."""
 ORDER = Question("LEDs out of order", 0.0, "LEDs")
-AIMED = Question("direction of each LED", 1.0, "deg off the rig file")
-"""One LED at the limit adds up to 0.03 mm rms to a finger's surface. Chosen on: judgement, checked
-on simulated fingers (effects.csv). Range: at 2 up to 0.07 mm."""
-TURNED = Question("turn of all LEDs together", 1.0, "deg")
-"""At the limit a finger changes by less than 0.01 mm rms. Chosen on: judgement, checked on
-simulated fingers (effects.csv). Range: up to 2 the same."""
+AIMED = Question("direction of each LED", 0.6, "deg off the rig file")
+"""Without the turn of all. A calibration leaves 0.12 deg each way, so that one of 14 LEDs lies 0.6
+off once in 20,000 rigs; 2 mm are 0.8. One LED 1 deg off adds up to 0.03 mm rms to a finger's
+surface (effects.csv)."""
+TURNED = Question("turn of all LEDs together", 0.5, "deg")
+"""Calibrated LEDs leave 0.09 deg, and the limit is five of these deviations. A finger hardly
+changes: at 2 deg by less than 0.01 mm rms (effects.csv)."""
+SMEAR = Question("smear of every shot", 0.08, "mm")
+"""Path of a straight motion during the exposure: it leaves sinc(0.08 / 0.45) = 0.95 of ridges 0.45
+mm apart that lie across it."""
 REPEAT = Question("repeatability of the finger", 0.9, "correlation", at_least=True)
 """Of the ridges. The five sound twins that it was chosen on have 0.98 or more, twenty others 0.91
 or more. Chosen on: simulated fingers (validation/rig_check, seeds 100 to 104)."""
+FLICKER = Question("flicker", 3.0, "% from one shot to the next")
+"""An LED's brightness in the two captures, relative to its band, over rows of the finger: as far as
+a steady LED may be off the rig file."""
 STILL = Question("motion of the finger", 0.13, "mm")
 """Between the shots, as a capture allows. It costs more than any other limit: 39 to 55 % more error
 in the ridges. The sound twins have 0.04. Chosen on: judgement, checked on simulated fingers
@@ -182,11 +194,14 @@ def answers_of_card(card: Taken, rig: Rig, plane: CardPlane) -> list[Answer]:
     """What a white matt card under every LED shows of a rig and its file."""
 
     def ask() -> Iterator[Answer]:
-        images = card_images(_used(card), rig)
+        images = card_images(_used(card), rig, may_be_dark=True)
         _, own, beams = beside_calibration(images, rig, plane)
-        yield _answer(EXPOSED, 100 * float(images.brightest.min()), _worst(-images.brightest, rig))
-        yield _answer(BRIGHT, 100 * float(np.abs(own - 1).max()), _worst(np.abs(own - 1), rig))
-        yield _answer(BEAM, 100 * float(beams.max()), _worst(beams, rig))
+        lit = own > _UNLIT
+        yield _answer(LIT, float(np.sum(~lit)), "" if lit.all() else _beyond(~lit, 0.5, rig))
+        yield _answer(EXPOSED, 100 * float(images.brightest[lit].min()))
+        for question, off in ((BRIGHT, np.abs(own - 1)), (BEAM, beams)):
+            percent = np.where(lit, 100 * off, 0.0)
+            yield _answer(question, float(percent.max()), _beyond(percent, question.limit, rig))
         slopes = {band: _slope_deg(images, rig, plane, own, band) for band in _bands(rig)}
         worst = max(slopes, key=lambda band: slopes[band])
         yield _answer(FLAT, slopes[worst], worst)
@@ -196,7 +211,27 @@ def answers_of_card(card: Taken, rig: Rig, plane: CardPlane) -> list[Answer]:
         worst = max(parts, key=lambda band: parts[band])
         yield _answer(LEAK, 100 * parts[worst], worst)
 
-    return _asked([EXPOSED, BRIGHT, BEAM, FLAT], ask) + _asked([LEAK], leaks)
+    def specks() -> Iterator[Answer]:
+        yield _answer(SPECKS, *_specks(_used(card), rig.camera.px_per_mm))
+
+    asked = [LIT, EXPOSED, BRIGHT, BEAM, FLAT]
+    return _asked(asked, ask) + _asked([LEAK], leaks) + _asked([SPECKS], specks)
+
+
+_UNLIT = 0.12  # of its band's light, as a capture session has it
+
+
+def _specks(card: Capture, px_per_mm: float) -> tuple[float, str]:
+    """How many specks a card shows in all images, and where the strongest is."""
+    stack = np.concatenate([light.grey for light in observe(card).bands.values()])
+    flat = stack.mean(axis=0)
+    departure = cv2.GaussianBlur(flat / wide_blur(flat, px_per_mm), (0, 0), 0.7) - 1.0
+    specks = (np.abs(departure) > _SPECK).astype(np.uint8)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(specks)
+    small = stats[1:, cv2.CC_STAT_AREA] < px_per_mm**2  # mm^2
+    row, column = np.unravel_index(int(np.argmax(np.abs(departure))), departure.shape)
+    most = f"{100 * float(departure[row, column]):+.0f} % at column {column}, row {row}"
+    return float(small.sum()), most if small.any() else ""
 
 
 def _bands(rig: Rig) -> list[str]:
@@ -207,13 +242,17 @@ def _members(rig: Rig, band: str) -> NDArray[np.intp]:
     return np.flatnonzero([led.band == band for led in rig.leds])
 
 
-def _worst(values: Any, rig: Rig) -> str:
-    return led_name(rig.leds, int(np.argmax(values)))
+def _beyond(values: Any, limit: float, rig: Rig) -> str:
+    """Names of the LEDs beyond a limit, or of the last one within it."""
+    beyond = np.flatnonzero(np.asarray(values) > limit)
+    named = beyond if len(beyond) else [int(np.argmax(values))]
+    return listed([led_name(rig.leds, int(k)) for k in named])
 
 
 def _slope_deg(images: CardImages, rig: Rig, plane: CardPlane, own: Array, band: str) -> float:
     """Angle (rms, deg) between the card and the normals that a band's LEDs show on it."""
     leds = _members(rig, band)
+    leds = leds[own[leds] > _UNLIT]
     points = plane.points(rig.camera, images.pixels)
     towards = np.stack([rays_to_led(rig.leds[k], points)[0] for k in leds])
     facing = np.stack([card_light(rig.camera, rig.leds[k], images.pixels, plane) for k in leds])
@@ -264,31 +303,41 @@ def answers_of_ball(capture: Taken, rig: Rig, diameter_mm: float) -> list[Answer
             np.argsort(leds)
         ]
         stack = np.maximum(stack, 0) / np.float32(max(float(stack.max()), 1e-9))
+        level = np.percentile(stack, 99, axis=(1, 2))
+        lit = np.flatnonzero(level > _UNLIT * np.median(level))
+        stack = stack[lit]
         outline, _ = rim_of(stack, find_ball(stack))
-        place = place_on_plane(rig, outline, [led_name(rig.leds, k) for k in range(len(rig.leds))])
+        place = place_on_plane(rig, outline, [led_name(rig.leds, int(k)) for k in lit])
         off = abs(2 * place.radius_mm / diameter_mm - 1)
         yield _answer(RADIUS, 100 * off, f"{2 * place.radius_mm:.2f} mm, not {diameter_mm:g} mm")
+        yield _answer(SMEAR, smear_px(stack.mean(axis=0), outline) / rig.camera.px_per_mm)
         # what of the shading is the beam's, not the ball's
         normals = outline.normals(stack.shape[1:], place.eye)
         points = place.middle_mm + place.radius_mm * normals
-        for k, led in enumerate(rig.leds):
-            towards, _ = rays_to_led(led, points.reshape(-1, 3))
-            beam = np.maximum(-(towards @ led.axis), 1e-6) ** led.lobe_exponent
-            stack[k] /= np.nan_to_num(beam, nan=1.0).reshape(stack.shape[1:]).astype(np.float32)
-        measured, _ = grey_directions(stack, outline, np.inf, eye=place.eye, away=place.distances)
+        for n, k in enumerate(lit):
+            towards, _ = rays_to_led(rig.leds[k], points.reshape(-1, 3))
+            along = np.maximum(-(towards @ rig.leds[k].axis), 1e-6)
+            beam = np.nan_to_num(along ** rig.leds[k].lobe_exponent, nan=1.0)
+            stack[n] /= beam.reshape(stack.shape[1:]).astype(np.float32)
+        measured = np.full((len(rig.leds), 3), np.nan)
+        away = place.distances
+        measured[lit], _ = grey_directions(stack, outline, np.inf, eye=place.eye, away=away)
         drawn = np.array([led.position_mm for led in rig.leds]) - place.middle_mm
         drawn /= np.linalg.norm(drawn, axis=1)[:, None]
-        stray = sum(
-            int(np.sum(np.argmax(measured[m] @ drawn[m].T, axis=1) != np.arange(len(m))))
-            for m in (_members(rig, band) for band in _bands(rig))
+        cosines = measured @ drawn.T
+        band = np.array([led.band for led in rig.leds])
+        cosines[band[:, None] != band] = -1.0
+        stray = np.isin(np.arange(len(band)), lit) & (
+            cosines.argmax(axis=1) != np.arange(len(band))
         )
-        yield _answer(ORDER, float(stray))
-        turn, _ = Rotation.align_vectors(measured, drawn)
+        yield _answer(ORDER, float(stray.sum()), _beyond(stray, 0.5, rig) if stray.any() else "")
+        turn, _ = Rotation.align_vectors(measured[lit], drawn[lit])
         yield _answer(TURNED, float(np.rad2deg(turn.magnitude())))
-        angles = np.rad2deg(np.arccos(np.clip(np.sum(measured * drawn, axis=1), -1.0, 1.0)))
-        yield _answer(AIMED, float(angles.max()), _worst(angles, rig))
+        apart = np.linalg.norm(measured - turn.apply(drawn), axis=1)
+        angles = np.nan_to_num(np.rad2deg(2 * np.arcsin(np.minimum(apart / 2, 1.0))))
+        yield _answer(AIMED, float(angles.max()), _beyond(angles, AIMED.limit, rig))
 
-    return _asked([RADIUS, ORDER, TURNED, AIMED], ask)
+    return _asked([RADIUS, SMEAR, ORDER, TURNED, AIMED], ask)
 
 
 # The finger, photographed twice while it lies still.
@@ -304,7 +353,12 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
 
     def ask() -> Iterator[Answer]:
         results.extend(reconstruct(_used(taken), "ea", {"keep": True}) for taken in captures)
-        yield from _asked([REPEAT], again) + _asked([STILL], still) + _asked([NEAR, FAR], focus)
+        yield from (
+            _asked([REPEAT], again)
+            + _asked([FLICKER], flicker)
+            + _asked([STILL], still)
+            + _asked([NEAR, FAR], focus)
+        )
         if "white_crossed" in _used(captures[0]).bands:
             yield from _asked([FILMS], crossed)
 
@@ -312,7 +366,19 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
         for result in results:
             spoilt = [str(each) for each in result.findings if each.severity == Severity.SPOILS]
             require(not spoilt, "".join(spoilt[:1]))
-        yield _answer(REPEAT, _repeatability(results[0], results[1]))
+        yield _answer(REPEAT, _LaidOver.of(*results).likeness)
+
+    def flicker() -> Iterator[Answer]:
+        over = _LaidOver.of(*results)
+        rig = _used(captures[0]).rig
+        changes = np.zeros(len(rig.leds))
+        first, second = (observe(_used(taken)).bands for taken in captures)
+        for name in first.keys() & second.keys() - {"white_crossed"}:
+            leds = [led for (led,) in first[name].lights]
+            after = np.stack([_moved(image, over.move) for image in second[name].grey])
+            changes[leds] = _changes(first[name].grey, after, over.inside)
+        percent = 100 * changes
+        yield _answer(FLICKER, float(percent.max()), _beyond(percent, FLICKER.limit, rig))
 
     def still() -> Iterator[Answer]:
         moved = 0.0
@@ -348,32 +414,57 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
         parallel, left = np.reshape(shine, (2, -1)).sum(axis=1)
         yield _answer(FILMS, 100 * float(left / max(parallel, 1e-9)))
 
-    return _asked([REPEAT, STILL, NEAR, FAR], ask)
+    return _asked([REPEAT, FLICKER, STILL, NEAR, FAR], ask)
+
+
+def _changes(first: FloatArray, second: FloatArray, inside: BoolArray) -> Array:
+    """(L,) by how much each image's light changed most in a strip of rows, relative to all."""
+    strips = np.array_split(np.flatnonzero(inside.any(axis=1)), 4)
+    ratios = np.empty((len(first), len(strips)))
+    for n, rows in enumerate(strips):
+        before, after = (
+            np.maximum(stack[:, rows][:, inside[rows]], 1e-6) for stack in (first, second)
+        )
+        ratios[:, n] = np.median(np.log(after / before), axis=1)
+    return np.asarray(np.abs(ratios - np.median(ratios, axis=0)).max(axis=1))
 
 
 def _well_inside(result: Reconstruction) -> BoolArray:
     return eroded(result.mask & np.isfinite(result.height_mm), EROSION_MM / result.pitch_mm)
 
 
-def _repeatability(first: Reconstruction, second: Reconstruction) -> float:
-    """Correlation of the ridges of two surfaces, the shift between them undone."""
-    require(first.mask.shape == second.mask.shape, "the finger's two captures differ in size.")
-    box = bounding_box(first.mask | second.mask)
+@dataclass(frozen=True, slots=True, eq=False)
+class _LaidOver:
+    """The second of two captures' surfaces, moved onto the first."""
 
-    def ridges(result: Reconstruction) -> FloatArray:
-        relief = np.nan_to_num(np.where(result.mask, result.ridge_mm, 0.0)).astype(np.float32)
-        return high_passed(relief[box], result.mask[box], BAND_SIGMA_MM / result.pitch_mm)
+    move: Array
+    """(2, 3) of the first one's columns and rows, in the whole picture, to the second's."""
+    likeness: float
+    """Correlation of the ridges."""
+    inside: BoolArray
+    """(H, W) where both are well known."""
 
-    whole = [_well_inside(result)[box] for result in (first, second)]
-    a, b = (
-        np.where(inside, ridges(r), 0.0).astype(np.float32)
-        for inside, r in zip(whole, (first, second), strict=True)
-    )
-    require(all(map(np.any, whole)), "the finger shows too little skin.")
-    shift, _ = cv2.phaseCorrelate(a, b)
-    move = np.column_stack([np.eye(2), -np.array(shift)])
-    size = b.shape[::-1]
-    b = np.asarray(cv2.warpAffine(b, move, size, flags=cv2.INTER_CUBIC))
-    there = cv2.warpAffine(whole[1].astype(np.float32), move, size)
-    both = whole[0] & (there > 0.99)
-    return float(np.corrcoef(a[both], b[both])[0, 1])
+    @classmethod
+    def of(cls, first: Reconstruction, second: Reconstruction) -> _LaidOver:
+        """Undo the shift between two surfaces, of what shows in both."""
+        require(first.mask.shape == second.mask.shape, "the finger's two captures differ in size.")
+
+        def ridges(result: Reconstruction) -> FloatArray:
+            relief = np.nan_to_num(np.where(result.mask, result.ridge_mm, 0.0)).astype(np.float32)
+            sharp = high_passed(relief, result.mask, BAND_SIGMA_MM / result.pitch_mm)
+            return np.where(_well_inside(result), sharp, 0.0).astype(np.float32)
+
+        a, b = ridges(first), ridges(second)
+        require(bool(a.any() and b.any()), "the finger shows too little skin.")
+        box = bounding_box(first.mask | second.mask)
+        shift, _ = cv2.phaseCorrelate(a[box], b[box])
+        move = np.column_stack([np.eye(2), np.array(shift)])
+        there = _moved(_well_inside(second).astype(np.float32), move)
+        inside = _well_inside(first) & (there > 0.99)
+        likeness = float(np.corrcoef(a[inside], _moved(b, move)[inside])[0, 1])
+        return cls(move, likeness, inside)
+
+
+def _moved(image: FloatArray, move: Array) -> FloatArray:
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(image, move, image.shape[::-1], flags=flags))

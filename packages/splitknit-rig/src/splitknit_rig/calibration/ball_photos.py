@@ -35,7 +35,7 @@ from splitknit.photometric.places import (
 from splitknit_rig.calibration.light_sources import is_list, rig_without_leds, write_lights
 from splitknit_rig.calibration.lights import BANDS, led_name, led_of_file
 from splitknit_rig.calibration.lights_found import CalibratedLed, CalibratedLights, Point, point_of
-from splitknit_rig.calibration.nail_photos import read_stack
+from splitknit_rig.calibration.nail_photos import image_of_size, read_stack
 from splitknit_rig.calibration.sphere import (
     MIN_RIM_PX,
     Ball,
@@ -511,14 +511,8 @@ def _outlined(
 
 
 def _read_mask(mask: Path, size: tuple[int, int]) -> BoolArray:
-    def check(rows: int, columns: int) -> None:
-        require(
-            (rows, columns) == size,
-            f"{mask} has {rows} x {columns} pixels (rows x columns), but the photographs have"
-            f" {size[0]} x {size[1]}.",
-        )
-
-    pixels = read_photo(mask, check).pixels
+    other = f"the photographs have {size[0]} x {size[1]}"
+    pixels, _ = image_of_size(mask, size, other, upright=True)
     return np.asarray(pixels.mean(axis=2) > np.iinfo(pixels.dtype).max / 2)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fnmatch
-import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,16 +16,14 @@ import numpy as np
 from splitknit import BadInput, Camera, Rig, read_rig, write_rig
 from splitknit.arguments import text_of
 from splitknit.errors import naming, require
-from splitknit.files import read_bytes
 from splitknit.findings import Finding, Severity, worst_first
-from splitknit.io.images import MAX_BYTES, decode_image
 from splitknit.io.photograph_files import natural_order
 from splitknit.io.provenance import provenance
 from splitknit.model import Array, PixelArray, Progress, no_progress
 from splitknit.nominal import default_rig
 from splitknit.plausible import CAMERA_HEIGHT
 from splitknit_rig.calibration.camera import MIN_VIEWS, CameraCalibration, fit_camera
-from splitknit_rig.calibration.nail_photos import SUFFIXES
+from splitknit_rig.calibration.nail_photos import SUFFIXES, image_of_size
 from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
 from splitknit_rig.calibration.targets import Board, find_board
 from splitknit_rig.calibration.words import camera_lines
@@ -228,19 +225,14 @@ class _Photos:
 
     def read(self, file: Path, name: str | None = None) -> PixelArray:
         """Pixels of an image, which is called `name`."""
-        data = read_bytes(file, MAX_BYTES)
-
-        def check(rows: int, columns: int) -> None:
-            expected = self._expected or ((rows, columns), name or file.name)
-            size, reference = self._expected = expected
-            require(
-                (rows, columns) == size,
-                f"{file} has {rows} x {columns} pixels (rows x columns), but {reference} has"
-                f" {size[0]} x {size[1]}; photograph everything with the camera's one setting.",
-            )
-
-        pixels = decode_image(data, str(file), check=check)
-        self.hashes[name or file.name] = hashlib.sha256(data).hexdigest()
+        size, reference = self._expected or (None, "")
+        rows, columns = size or (0, 0)
+        other = (
+            f"{reference} has {rows} x {columns}; photograph everything with the camera's one"
+            " setting"
+        )
+        pixels, self.hashes[name or file.name] = image_of_size(file, size, other)
+        self._expected = self._expected or (pixels.shape[:2], name or file.name)
         return pixels
 
 

@@ -21,14 +21,7 @@ from splitknit import Camera, Led
 from splitknit.errors import require
 from splitknit.imaging.robust import cauchy, deviation
 from splitknit.model import Array, BoolArray
-from splitknit_rig.calibration.card_model import (
-    LADDER,
-    Answer,
-    CardModel,
-    CardPlane,
-    Order,
-    rays_to_led,
-)
+from splitknit_rig.calibration.card_model import Answer, CardModel, CardPlane, rays_to_led
 
 # Robust least squares for the model of a white card, by scipy with weights of the card's places.
 #
@@ -37,44 +30,43 @@ from splitknit_rig.calibration.card_model import (
 # median of its residuals over all LEDs.
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _CardFit:
-    """Best parameters of one order."""
-
-    order: Order
-    answer: Answer
-    normal: Array  # (P, P) weighted normal matrix, in units of the robust scale
+_PRIOR = (0.0, 5.0, 0.0, 0.0), (0.0, 1 / 20.0, 1 / 4.0, 1 / 4.0)
+"""Middle and inverse width of what is expected of an LED: ln c, n, n u and n v. It settles what the
+images leave open, the aim of a beam that is wide; each is worth one cell of thousands."""
 
 
-def _fit_order(
-    model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float
-) -> _CardFit:
-    """Fit `order` to ln (L, N) of the images; `scale`: residual beyond which a place counts less
-    (Cauchy's weights)."""
-    vector, weight = model.project(model.vector(start, order), order), np.ones(logarithm.shape[1])
-    middle, inverse = model.prior(order)
+def _fit(model: CardModel, start: Array, logarithm: Array, scale: float) -> tuple[Array, Array]:
+    """Parameters that fit ln (L, N) of the images, and their covariance; `scale`: residual beyond
+    which a place counts less (Cauchy's weights)."""
+    vector, weight = start, np.zeros(logarithm.shape[1])
 
     def residuals(vector: Array, root: Array) -> Array:
-        apart = (model.logarithm(model.answer(vector, order)) - logarithm) * root
-        return np.concatenate([apart.ravel(), (vector - middle) * inverse])
+        apart = (model.logarithm(vector) - logarithm) * root
+        expected = vector[2:].reshape(-1, 4) * 1.0
+        expected[:, 2:] *= expected[:, 1:2]
+        prior = (expected - _PRIOR[0]) * _PRIOR[1]
+        return np.concatenate([apart.ravel(), prior.ravel()])
 
     def slopes(vector: Array, root: Array) -> Array:
-        rows = model.jacobian(model.answer(vector, order), order) * root[:, None]
-        return np.concatenate([rows.reshape(-1, len(vector)), np.diag(inverse)])
+        rows = model.jacobian(vector) * root[:, None]
+        prior = np.zeros((model.count, 4, len(vector)))
+        for k, (_, exponent, u, v) in enumerate(vector[2:].reshape(-1, 4)):
+            by_own = np.diag([1.0, 1.0, exponent, exponent])
+            by_own[2:, 1] = u, v
+            prior[k, :, 2 + 4 * k : 6 + 4 * k] = by_own * np.array(_PRIOR[1])[:, None]
+        return np.concatenate([rows.reshape(-1, len(vector)), prior.reshape(-1, len(vector))])
 
+    low, high = (model.vector(*limits) for limits in model.bounds)
     for _ in range(10):  # each with new weights of the card's places
-        root = np.sqrt(weight) / scale
-        fitted = least_squares(
-            residuals, vector, slopes, model.bounds(order), args=(root,), ftol=1e-7
-        )
-        vector = model.project(fitted.x, order)
-        common = np.median(logarithm - model.logarithm(model.answer(vector, order)), axis=0)
+        common = np.median(logarithm - model.logarithm(vector), axis=0)
         width = max(scale, 3.0 * deviation(common))
         last, weight = weight, cauchy(common, width)
         if float(np.abs(weight - last).max()) < 0.01:
             break
+        root = np.sqrt(weight) / scale
+        vector = least_squares(residuals, vector, slopes, (low, high), args=(root,), ftol=1e-7).x
     jacobian = slopes(vector, root)
-    return _CardFit(order, model.answer(vector, order), jacobian.T @ jacobian)
+    return vector, np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))
 
 
 # Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with
@@ -95,14 +87,14 @@ def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Ar
 
 
 def _card_gloss(
-    model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: Array
+    model: CardModel, half_angles_deg: Array, vector: Array, rest: Array
 ) -> tuple[float, float]:
     """Brightness of the spot at the mirror's angle relative to the card's own, and its standard
     error. Least squares of the residuals (L, N), NaN where dust is, on a narrow and a wide spot and
     on all slopes of the model; the greater spot, in its errors, is returned.
     """
     used = np.isfinite(rest)
-    left, rows = rest[used], model.jacobian(fit.answer, fit.order)[used]
+    left, rows = rest[used], model.jacobian(vector)[used]
     inverse, slope = np.linalg.pinv(rows.T @ rows, rcond=1e-12), rows.T @ left
     noise = float(np.sqrt(np.mean(left**2)))
     gloss = (0.0, np.inf)
@@ -128,12 +120,9 @@ class FlatField:
     # brightness of the card: the images are this times
     # :func:`splitknit_rig.calibration.card_model.card_light`
     card_level: float
-    order: Order
-    # every model tried: name, number of parameters, rms of its residuals in per cent
-    orders: tuple[tuple[str, int, float], ...]
     residual: Array  # (L, N) image over model, less one
     dust: BoolArray  # (N,) cells that were left out
-    # (L,) standard errors of the beams' exponents; NaN where they were not fitted
+    # (L,) standard errors of the beams' exponents
     exponent_error: Array
     # rms over the cells of the residuals' mean over all LEDs: what the card (or the lens) does, not
     # the LEDs
@@ -159,11 +148,7 @@ def fit_flat_field(
 
     `light` (L, N) is linear, at `pixels` (N, 2; column, row), under LED k alone, the lens's
     fall-off in it; `card` lies on the finger plane by default. The camera's `shading` and the LEDs'
-    intensities, exponents and aims are replaced. Models of
-    :data:`splitknit_rig.calibration.card_model.LADDER` are fitted one after the other, each from
-    the one before, and the simplest is taken that explains the images about as well as the richest.
-    Two weak priors (exponents 5 +- 20, slopes by the aims 0 +- 4, each worth one cell of thousands)
-    settle what the images leave open: the aim of a beam that is wide. Raises BadInput if an LED did
+    intensities, exponents and aims are replaced. Raises BadInput if an LED did
     not light, the card does not fill the field or is not uniform. A tilt of the card is
     indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against the
     base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces
@@ -179,7 +164,8 @@ def fit_flat_field(
     floor = 1e-4 * float(np.median(images))
     logarithm = np.log(np.maximum(images, max(floor, 1e-12)))
     level = np.exp(np.median(logarithm - model.known, axis=1))
-    start = Answer(level, np.ones(model.count), np.zeros((model.count, 2)), np.zeros(2))
+    start = model.vector([0.0, 0.0], [0.0, 1.0, 0.0, 0.0])
+    start[2::4] = np.log(level)
     for k, led in enumerate(leds):
         usual = float(np.median([level[j] for j in range(len(leds)) if leds[j].band == led.band]))
         require(
@@ -188,42 +174,28 @@ def fit_flat_field(
             " brightness of its band: it did not light; check its wire and take the card again.",
         )
     scale = 0.005  # places with larger residuals count less and less: dust
-    fits: list[_CardFit] = []
-    for order in LADDER:
-        fits.append(_fit_order(model, start, order, logarithm, scale))
-        start = fits[-1].answer
-        if order.lens and not order.aims:
-            _check_field(np.exp(logarithm - model.logarithm(start)))
-    residuals = [images / np.exp(model.logarithm(fit.answer)) - 1.0 for fit in fits]
-    dust = np.abs(np.median(residuals[-1], axis=0)) > 0.01 * DUST_PERCENT
+    vector, covariance = _fit(model, start, logarithm, scale)
+    answer = model.answer(vector)
+    residual = images / np.exp(model.logarithm(vector)) - 1.0
+    _check_field(1.0 + residual)
+    dust = np.abs(np.median(residual, axis=0)) > 0.01 * DUST_PERCENT
     require(
         not dust.all(), "the card is not uniform: no part of the picture looks like an even card."
     )
-    rms = [100 * float(np.sqrt(np.mean(residual[:, ~dust] ** 2))) for residual in residuals]
-    # the simplest model is taken that is as good as the best one but for 0.05 % or a twentieth
-    enough = max(float(np.hypot(min(rms), 0.05)), 1.05 * min(rms))
-    best = next(k for k, value in enumerate(rms) if value <= enough)
-    fit = fits[best]
-    rest = np.where(dust, np.nan, residuals[-1])
+    clean = residual[:, ~dust]
     angles = np.stack([_half_angles(camera, led, places, plane) for led in leds])
-    gloss, gloss_error = _card_gloss(model, angles, fits[-1], rest)
+    rest = np.where(dust, np.nan, residual)
+    gloss, gloss_error = _card_gloss(model, angles, vector, rest)
+    lens, lit = _result(camera, leds, model, answer)
     # the residuals taken as independent between cells
-    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (
-        0.01 * rms[best] / scale
-    )
-    lens, lit = _result(camera, leds, model, fit.answer, fit.order)
-    clean = residuals[best][:, ~dust]
+    errors = np.sqrt(np.diag(covariance)) * float(np.sqrt(np.mean(clean**2))) / scale
     return FlatField(
         camera=lens,
         leds=lit,
-        card_level=float(fit.answer.brightness.mean()),
-        order=fit.order,
-        orders=tuple(
-            (order.name, model.size(order), value) for order, value in zip(LADDER, rms, strict=True)
-        ),
-        residual=residuals[best],
+        card_level=float(answer.brightness.mean()),
+        residual=residual,
         dust=dust,
-        exponent_error=model.exponents(errors, fit.order),
+        exponent_error=errors[3::4],
         common_percent=100 * float(np.sqrt(np.mean(clean.mean(axis=0) ** 2))),
         gloss_percent=100 * gloss,
         gloss_error=100 * gloss_error,
@@ -256,10 +228,10 @@ def _check_field(ratio: Array) -> None:
 
 
 def _result(
-    camera: Camera, leds: Sequence[Led], model: CardModel, answer: Answer, order: Order
+    camera: Camera, leds: Sequence[Led], model: CardModel, answer: Answer
 ) -> tuple[Camera, tuple[Led, ...]]:
     mean = float(answer.brightness.mean())
-    shading = tuple(round(float(value), 6) for value in answer.lens) if order.lens else ()
+    shading = tuple(round(float(value), 6) for value in answer.lens)
     lit = []
     for k, led in enumerate(leds):
         x, y, z = (round(float(value), 6) for value in model.aim(answer, k))
@@ -267,6 +239,5 @@ def _result(
             round(float(answer.brightness[k]) / mean, 6),
             round(float(answer.exponent[k]), 5),
         )
-        aim = (x, y, z) if order.aims and answer.exponent[k] > 0 else None
-        lit.append(replace(led, intensity=intensity, lobe_exponent=exponent, aim=aim))
+        lit.append(replace(led, intensity=intensity, lobe_exponent=exponent, aim=(x, y, z)))
     return replace(camera, shading=shading), tuple(lit)

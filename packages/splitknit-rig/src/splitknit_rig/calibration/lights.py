@@ -202,7 +202,9 @@ class LedEstimate:
     direction: Array  # (3,) unit, from the circle's centre on the finger plane towards the LED
     # largest angle between the directions of two nail positions; None with one position
     disagreement_deg: float | None
-    singles: Array  # (K, 3) positions, one for each of the nail's
+    interval_deg: float | None = None
+    """Half of the 95 % interval, of the joint fit; so `interval_mm`."""
+    interval_mm: float | None = None
 
 
 def nail_points(camera: Camera, nail_px: Array, height_mm: float) -> Array:
@@ -268,7 +270,7 @@ def combine(band: str, led: int, singles: Array, circle: Circle) -> LedEstimate:
     chords = np.linalg.norm(units[:, None] - units[None], axis=2)
     largest_deg = float(np.degrees(2.0 * np.arcsin(np.clip(chords.max() / 2.0, 0.0, 1.0))))
     disagreement_deg = largest_deg if len(units) > 1 else None
-    return LedEstimate(band, led, position, mean / np.linalg.norm(mean), disagreement_deg, singles)
+    return LedEstimate(band, led, position, mean / np.linalg.norm(mean), disagreement_deg)
 
 
 def _check_shadows(tips: Sequence[Tip], nails: Array, ends: Array, circle: Circle) -> None:

@@ -197,12 +197,9 @@ def lights_of_tips(
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
     estimates = {(led.band, led.led): led for led in by_hand}
-    intervals: dict[LedName, tuple[float, float]] = {}
     strays: frozenset[LedName] = frozenset()
     if joint is not None:
         estimates |= {(led.band, led.led): led for led in joint.leds}
-        widths = zip(joint.interval_deg.tolist(), joint.interval_mm.tolist(), strict=True)
-        intervals = dict(zip(((led.band, led.led) for led in joint.leds), widths, strict=True))
         strays = joint.strays
         height = joint.nail_height_mm
     verdicts = judge(estimates, copied, strays, rules.limit_deg)
@@ -219,7 +216,8 @@ def lights_of_tips(
                 estimate.disagreement_deg,
                 verdict,
                 rules.keep or verdict in (OK, UNCHECKED),
-                *intervals.get((band, number), (None, None)),
+                estimate.interval_deg,
+                estimate.interval_mm,
             )
         )
     findings = _findings(verdicts, joint, sound)

@@ -26,7 +26,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import chi2
 
@@ -72,8 +71,14 @@ class _NailModel:
         """Band and number of the L LEDs."""
         self.led_of = np.array([self.names.index((tip.band, tip.led)) for tip in tips])
         """(N,) which of them a row is of."""
-        self.place_of, self.places_px = _places(tips, camera, nail_px)
-        """(N,) which place of the nail a row is of, and the places' mean pixels (P, 2)."""
+        places = [(tip.band, tip.nail) for tip in tips]
+        stood = list(dict.fromkeys(places))
+        self.place_of = np.array([stood.index(place) for place in places])
+        """(N,) which place of the nail, under one band, a row is of."""
+        self.places_px = np.array(
+            [nail_px[self.place_of == k].mean(axis=0) for k in range(len(stood))]
+        )
+        """(P, 2) the places' mean pixels."""
         self.known = nail.height_mm is not None
         self.at_height = 3 * len(self.names) + 2 * len(self.places_px)
         """Where in the vector the nail's height is."""
@@ -116,35 +121,11 @@ class _NailModel:
         return pixels_of(self.camera, np.column_stack([places, np.full(len(places), height)]))
 
 
-def _places(tips: Sequence[Tip], camera: Camera, nail_px: Array) -> tuple[NDArray[np.intp], Array]:
-    """Place of the nail in each row (N,), and the mean pixels (P, 2); moved over 1 mm between
-    bands, it is two."""
-    positions = [(tip.nail, tip.band) for tip in tips]
-    middles = {
-        key: nail_px[[position == key for position in positions]].mean(axis=0) for key in positions
-    }
-
-    def first_beside(key: tuple[int, str]) -> tuple[int, str]:
-        beside = (name for name in middles if name[0] == key[0])
-        return next(
-            name
-            for name in beside
-            if np.linalg.norm(middles[name] - middles[key]) <= camera.px_per_mm
-        )
-
-    keys = [first_beside(key) for key in positions]
-    names = list(dict.fromkeys(keys))
-    place_of = np.array([names.index(key) for key in keys], dtype=np.intp)
-    return place_of, np.array([nail_px[place_of == k].mean(axis=0) for k in range(len(names))])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class JointFit:
     """All LEDs, and how well they are known."""
 
     leds: tuple[LedEstimate, ...]
-    interval_deg: Array  # (L,) the true direction lies within this angle with 95 % probability
-    interval_mm: Array  # (L,) the same of the position
     nail_height_mm: float
     # (N, 2) tips found minus expected, columns and rows, in the order of the rows
     residual_px: Array
@@ -160,7 +141,7 @@ def by_joint_fit(
     outside the circle."""
     model = _NailModel(tips, camera, circle, nail or Nail())
     require(
-        len(model.places_px) >= 2,
+        len({tip.nail for tip in tips}) >= 2,
         "the joint fit needs two nail positions at least, but there is one.",
     )
     return _result(model, _solve(model))
@@ -204,7 +185,7 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
     # where the residuals exceed their stated deviation
     wider = max(1.0, 2.0 * float(fit.cost) / freedom)
     covariance = np.asarray(np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * wider)
-    estimates, degrees, sizes = [], [], []
+    estimates = []
     ends = plane_points(model.camera, model.tip_px)
     for k, (band, led) in enumerate(model.names):
         rows = np.flatnonzero(model.led_of == k)
@@ -216,17 +197,23 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
         alone = combine(band, led, singles, circle)
         arm = leds[k] - circle.foot_mm
         unit = arm / np.linalg.norm(arm)
-        estimates.append(LedEstimate(band, led, leds[k], unit, alone.disagreement_deg, singles))
         block = covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
         turn = (np.eye(3) - np.outer(unit, unit)) / np.linalg.norm(arm)
-        degrees.append(np.degrees(_radius_95(turn @ block @ turn.T)))
-        sizes.append(_radius_95(block))
+        estimates.append(
+            LedEstimate(
+                band,
+                led,
+                leds[k],
+                unit,
+                alone.disagreement_deg,
+                float(np.degrees(_radius_95(turn @ block @ turn.T))),
+                _radius_95(block),
+            )
+        )
     arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
     off = np.abs(np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) > STRAY_LED_MM
     return JointFit(
         leds=tuple(estimates),
-        interval_deg=np.array(degrees),
-        interval_mm=np.array(sizes),
         nail_height_mm=height,
         residual_px=residual_px,
         outliers=tuple(int(row) for row in np.flatnonzero(astray)),

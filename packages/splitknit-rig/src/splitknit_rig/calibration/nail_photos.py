@@ -7,6 +7,7 @@ import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from splitknit.io.photograph_files import natural_order
 from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.io.targets import check_file
-from splitknit.model import Array, FloatArray, Progress, no_progress
+from splitknit.model import Array, FloatArray, PixelArray, Progress, no_progress
 from splitknit.observation.stored import linear_image
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, led_of_file, write_tips
 from splitknit_rig.calibration.shadow import NailView, find_nail
@@ -144,26 +145,35 @@ def read_stack(
     return np.stack(images), hashes
 
 
-def _read(
-    path: Path, size: tuple[int, int], encoding: str, *, upright: bool
-) -> tuple[FloatArray, str]:
+def image_of_size(
+    path: Path, size: tuple[int, int] | None, other: str, *, upright: bool = False
+) -> tuple[PixelArray, str]:
+    """Pixels of an image of a size (rows, columns), if one is known, and its SHA-256; `other`: what
+    has this size, and what to do."""
     data = read_bytes(path, MAX_BYTES)
 
     def check(rows: int, columns: int) -> None:
         require(
-            (rows, columns) == size,
-            f"{path} has {rows} x {columns} pixels (rows x columns), but the rig's camera has"
-            f" {size[0]} x {size[1]}; give the rig or `image_size` that belongs to the"
-            " photographs.",
+            size is None or (rows, columns) == size,
+            f"{path} has {rows} x {columns} pixels (rows x columns), but {other}.",
         )
 
-    name = str(path)
-    pixels = (
-        decode_photo(data, name, check).pixels if upright else decode_image(data, name, check=check)
+    pixels: Any = decode_photo(data, str(path), check).pixels if upright else None
+    if pixels is None:
+        pixels = decode_image(data, str(path), check=check)
+    return pixels, hashlib.sha256(data).hexdigest()
+
+
+def _read(
+    path: Path, size: tuple[int, int], encoding: str, *, upright: bool
+) -> tuple[FloatArray, str]:
+    other = (
+        f"the rig's camera has {size[0]} x {size[1]}; give the rig or `image_size` that belongs to"
+        " the photographs"
     )
+    pixels, digest = image_of_size(path, size, other, upright=upright)
     require(pixels.dtype.kind == "u", f"{path} holds floats; save it as 16-bit PNG or TIFF.")
-    image = np.asarray(linear_image(pixels, encoding).mean(axis=2), dtype=np.float32)
-    return image, hashlib.sha256(data).hexdigest()
+    return np.asarray(linear_image(pixels, encoding).mean(axis=2), dtype=np.float32), digest
 
 
 def _bands(place: Path) -> Mapping[str, dict[int, Path]]:

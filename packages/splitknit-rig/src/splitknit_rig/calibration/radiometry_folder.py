@@ -14,12 +14,13 @@ from msgspec import Meta, Struct
 from splitknit import Capture, Rig, read_capture, read_rig, write_rig
 from splitknit.errors import naming, require
 from splitknit.io.fields import Version1, inside, read_document
-from splitknit.io.images import read_image, write_image
+from splitknit.io.images import write_image
 from splitknit.io.pictures import ColourArray, colour
 from splitknit.io.provenance import file_hash, provenance
 from splitknit.model import Array, FloatArray, PixelArray, Progress, no_progress
 from splitknit.observation.light import FULL_SCALE
 from splitknit_rig.calibration.card_model import CardPlane
+from splitknit_rig.calibration.nail_photos import image_of_size
 from splitknit_rig.calibration.radiometry import (
     DRIFT_PERCENT,
     MAX_RESIDUAL_PERCENT,
@@ -199,15 +200,10 @@ def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
         f"{path}, which {DOCUMENT} names, does not exist; add it or remove its entry.",
     )
     like = capture.bands["white"].pixels
-
-    def check(rows: int, columns: int) -> None:
-        require(
-            (rows, columns) == like.shape[1:3],
-            f"{path} has {rows} x {columns} pixels, but the card's images have {like.shape[1]} x"
-            f" {like.shape[2]}; take all with the same settings.",
-        )
-
-    pixels = read_image(path, check)
+    other = (
+        f"the card's images have {like.shape[1]} x {like.shape[2]}; take all with the same settings"
+    )
+    pixels, hashes[path.name] = image_of_size(path, (like.shape[1], like.shape[2]), other)
     require(
         pixels.shape == like.shape[1:] and pixels.dtype == like.dtype,
         f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels, {pixels.shape[2]} channels of"
@@ -215,7 +211,6 @@ def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
         f" {like.shape[2]}, {like.shape[3]} of {like.dtype.itemsize * 8}; take all with the same"
         " settings.",
     )
-    hashes[path.name] = file_hash(path)
     return pixels
 
 

@@ -97,6 +97,7 @@ def find_ball(stack: Any) -> Ball:
 
 
 _RIM_RAYS = 360  # from a ball's middle
+_ANGLES = 2.0 * np.pi * np.arange(_RIM_RAYS)[:, None] / _RIM_RAYS
 MIN_RIM_PX = 40.0
 """Radius of a ball whose rim is looked for: of 12 smaller ones 5 came out 3 to 12 % beside. Chosen
 on: simulated objects (drawn balls on textures)."""
@@ -114,11 +115,10 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
     if ball.radius_px < MIN_RIM_PX:
         return ball, agreed
     for _ in range(2):  # from a better middle more rays meet the rim squarely
-        angle = 2.0 * np.pi * np.arange(_RIM_RAYS)[:, None] / _RIM_RAYS
         # the rim lies within a tenth of the radius off the outline
         reach, step = 0.1 * ball.radius_px, max(0.5, ball.radius_px / 300.0)
         radii = np.arange(ball.radius_px - reach, ball.radius_px + reach, step)
-        x, y = ball.column + np.cos(angle) * radii, ball.row + np.sin(angle) * radii
+        x, y = _on_rays(ball, radii)
         energy = np.zeros(x.shape)
         for image in images:
             root = np.sqrt(np.maximum(image, 0.0)).astype(np.float32)
@@ -133,10 +133,7 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
         low, top, high = (energy[ray, best + k] for k in (-1, 0, 1))
         bent = np.minimum(low - 2.0 * top + high, -1e-12)
         edge = radii[best] + step * np.clip(0.5 * (low - high) / bent, -0.5, 0.5)
-        points = np.stack(
-            [ball.column + np.cos(angle[:, 0]) * edge, ball.row + np.sin(angle[:, 0]) * edge],
-            axis=1,
-        )
+        points = np.column_stack(_on_rays(ball, edge[:, None]))
         seen = ((x > 0) & (x < columns - 1) & (y > 0) & (y < rows - 1)).all(axis=1)
         triples = (
             np.array(
@@ -161,6 +158,28 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
         most = on[int(on.sum(axis=1).argmax())]
         ball, agreed = Ball(*_circle(points[seen][most])), float(most.mean())
     return ball, agreed
+
+
+def _on_rays(ball: Ball, radii: Array) -> tuple[Array, Array]:
+    """Columns and rows (rays, R) of places at radii (R,), or (rays, 1), from a ball's middle."""
+    return ball.column + radii * np.cos(_ANGLES), ball.row + radii * np.sin(_ANGLES)
+
+
+def smear_px(image: FloatArray, ball: Ball) -> float:
+    """Length of the straight path along which an image of a ball on dark ground is smeared.
+
+    Light that falls outside the rim of an edge of standard deviation s lies 0.627 s from it, on
+    average. A path of length l adds the variance l^2 / 12 along it, which changes with the
+    direction t as cos 2 t; a middle that is off changes with cos t.
+    """
+    away = np.linspace(0.0, 0.06 * ball.radius_px, 49)
+    x, y = (axis.astype(np.float32) for axis in _on_rays(ball, ball.radius_px + away))
+    light = cv2.remap(image, x, y, cv2.INTER_CUBIC)
+    light = np.maximum(light - np.median(light[:, -8:], axis=1, keepdims=True), 0.0)
+    distance = light @ away / np.maximum(light.sum(axis=1), 1e-9)
+    turns = np.hstack([np.ones_like(_ANGLES), np.cos(2 * _ANGLES), np.sin(2 * _ANGLES)])
+    _, a, b = np.linalg.lstsq(turns, (distance / 0.627) ** 2, rcond=None)[0]
+    return float(np.sqrt(12.0 * 2.0 * np.hypot(a, b)))
 
 
 def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Array]:

@@ -94,12 +94,7 @@ def radiometry_lines(facts: Mapping[str, Any], *, base_tilt: bool) -> list[str]:
             f" {led['aim_off_deg']:6.1f} deg  {led['rms_percent']:.2f} %,"
             f" {led['largest_percent']:.2f} %: {led['verdict']}"
         )
-    tried = ", ".join(f"{model['rms_percent']:.2f} %" for model in facts["model"]["tried"])
     lines += [
-        (
-            f"Model: {facts['model']['chosen']} (residuals from the simplest to the richest model:"
-            f" {tried})."
-        ),
         (
             f"The lens shows the corners at {100 * facts['lens']['corner']:.0f} % of the middle's"
             " brightness."

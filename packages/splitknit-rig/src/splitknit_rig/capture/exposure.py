@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.checks import check_image, check_mask
-from splitknit.devices import ExposureRange, Frame
+from splitknit.devices import ExposureRange, Frame, relative_exposure
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
@@ -51,21 +51,38 @@ class Exposure:
     gain: float
     brightest: int  # LED under which the finger is brightest
     level: float  # fraction of full scale that the finger reaches under it
-    # LED to the finger's median level (fraction of full scale) that the previews promise
-    expected: Mapping[int, float] = field(default_factory=dict)
+    # LED to the light (h, w) that its preview shows, see :func:`coarse_light`
+    light: Mapping[int, FloatArray] = field(default_factory=dict)
+    room: FloatArray | None = None
+    """(h, w) the same with all LEDs off."""
 
-    def promising(self, seen: Survey, lit: Mapping[int, float]) -> Exposure:
-        """With what the previews promise: `lit` is LED to the finger's level in the survey, less
-        the ambient light."""
-        ratio = self.exposure_s * self.gain / (seen.exposure_s * seen.gain)
-        return replace(self, expected={led: ratio * max(level, 0.0) for led, level in lit.items()})
+    def promising(self, seen: Survey, room: Frame) -> Exposure:
+        """With what the previews promise of the shots, and `room`, the preview without LEDs."""
+        dark = coarse_light(room)
+        light = {led: coarse_light(frame) - dark for led, frame in seen.frames.items()}
+        return replace(self, light=light, room=dark)
+
+
+def coarse_light(frame: Frame) -> FloatArray:
+    """(h, w) mean light of a frame or its preview in 48 cells across, over the exposure: what shows
+    which LED and exposure made it."""
+    grey = grey_light(frame.pixels, frame.black_level) / np.float32(relative_exposure(frame))
+    size = (48, max(1, round(48 * grey.shape[0] / grey.shape[1])))
+    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
+
+
+EXPOSURE_STEP = 1.15
+"""Exposures are those of a ladder of such steps, so that a frame made with another one than the
+camera states is seen by its light."""
 
 
 def exposure_of(
     product_s: float, camera: ExposureRange, settings: ExposureSettings
 ) -> tuple[float, float]:
     """Exposure time and gain whose product is `product_s`, or as near as the camera can: time
-    first, then gain."""
+    first, then gain; the product is on the ladder of `EXPOSURE_STEP`."""
+    rung = round(np.log(product_s / START_S) / np.log(EXPOSURE_STEP))
+    product_s = START_S * EXPOSURE_STEP**rung
     longest = min(max(settings.longest_s, camera.shortest_s), camera.longest_s)
     time_s = float(np.clip(product_s / camera.lowest_gain, camera.shortest_s, longest))
     return time_s, float(np.clip(product_s / time_s, camera.lowest_gain, camera.highest_gain))
@@ -81,18 +98,9 @@ def _level_of(frame: Frame, region: BoolArray | None = None) -> float:
     pixels = (
         frame.pixels.reshape(-1, frame.pixels.shape[2]) if region is None else frame.pixels[region]
     )
-    return max(_above_black(frame, np.max(np.percentile(pixels, FINGER_PERCENTILE, axis=0))), 0.0)
-
-
-def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -> float:
-    """Mean over the channels of the finger's median (or percentile), likewise."""
-    return _above_black(frame, np.mean(np.percentile(frame.pixels[region], percentile, axis=0)))
-
-
-def _above_black(frame: Frame, stored: np.floating) -> float:
-    return (float(stored) - frame.black_level) / (
-        float(np.iinfo(frame.pixels.dtype).max) - frame.black_level
-    )
+    stored = float(np.max(np.percentile(pixels, FINGER_PERCENTILE, axis=0)))
+    full = float(np.iinfo(pixels.dtype).max)
+    return max((stored - frame.black_level) / (full - frame.black_level), 0.0)
 
 
 START_S = 0.01
@@ -144,21 +152,25 @@ def find_exposure(
     levels = {led: _level_of(frame, region) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
     time_s, gain, level = seen.exposure_s, seen.gain, levels[brightest]
+    wanted = time_s, gain
     for _ in range(12):
-        if abs(level / settings.target - 1.0) <= 0.06:
+        if abs(level / settings.target - 1.0) <= 0.075:  # half a step
             break
         factor = (
             0.3
             if level >= _CLIPPED_PREVIEW
             else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
         )
-        wanted = exposure_of(time_s * gain * factor, camera, settings)
-        if np.allclose(wanted, (time_s, gain), rtol=1e-6):
-            break  # the camera's limit
-        time_s, gain = wanted
-        frame = look(brightest, time_s, gain)
+        before, wanted = wanted, exposure_of(time_s * gain * factor, camera, settings)
+        if np.allclose(wanted, before, rtol=1e-6):
+            break  # the camera's limit, or the nearest step
+        frame = look(brightest, *wanted)
         time_s, gain = frame.exposure_s, frame.gain  # what the sensor made of it
         level = _level_of(frame, region)
+    if np.isclose(time_s * gain, seen.exposure_s * seen.gain, rtol=0.05):
+        # what a camera may keep of an earlier setting must not look alike in preview and shot
+        frame = look(brightest, *exposure_of(time_s * gain / EXPOSURE_STEP, camera, settings))
+        time_s, gain, level = frame.exposure_s, frame.gain, _level_of(frame, region)
     require(
         level >= 0.3 * settings.target,
         f"the finger is too dark: with {1e3 * time_s:.0f} ms at gain {gain:.1f} its brightest LED"
@@ -223,24 +235,6 @@ _NOISE_MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
 
 Source: Immerkaer 1996, see :func:`measure_focus`.
 """
-
-
-@dataclass(slots=True)
-class FocusWatch:
-    """Follows live measurements and reports when they have stopped rising."""
-
-    best: float = 0.0
-    measured: int = 0
-    ended: bool = False  # whether it is enough
-    _idle: int = 0
-
-    def add(self, focus: Focus) -> bool:
-        """Note a measurement; true when it is enough."""
-        self.measured += 1
-        self._idle = 0 if focus.sharpness > 1.02 * self.best else self._idle + 1
-        self.best = max(self.best, focus.sharpness)
-        self.ended = self._idle >= 8 or self.measured >= 400
-        return self.ended
 
 
 def grey_light(pixels: NDArray[np.unsignedinteger], black_level: float = 0.0) -> FloatArray:

@@ -20,7 +20,7 @@ from splitknit.io.enrolment import Enrolment, PlannedCapture
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_capture
 from splitknit.model import Progress, no_progress
-from splitknit_rig.capture.session import Session, SessionSettings, WatchFocus, run_session
+from splitknit_rig.capture.session import Session, SessionSettings, run_session
 
 MARKER = "session.json"
 Ask = Callable[[PlannedCapture, str | None], str]
@@ -36,7 +36,6 @@ class CaptureOptions:
     material: str = "skin"
     keep: bool = False  # write a capture although it must be taken again
     overwrite: bool = False  # replace an earlier capture
-    watch_focus: WatchFocus | None = None
     # has the analyser turned by hand, where the devices do not turn it; None: nobody is there
     turn: Turn | None = None
     # enrolment: asks for each finger, and again after a verdict; None: stops at the first verdict
@@ -62,7 +61,6 @@ def capture_to_folder(
             devices.lights,
             devices.rig,
             options.settings,
-            watch_focus=options.watch_focus,
             turn=devices.turn or options.turn,
             progress=lambda stage, fraction: progress(stage, 0.8 * fraction),
         )

@@ -30,13 +30,12 @@ from splitknit_rig.capture.exposure import (
     Exposure,
     ExposureSettings,
     Focus,
-    FocusWatch,
     Survey,
+    coarse_light,
     find_exposure,
     grey_light,
     measure_focus,
     survey,
-    typical_level,
 )
 from splitknit_rig.capture.pins import led_names, rig_films
 from splitknit_rig.capture.shots import (
@@ -47,8 +46,6 @@ from splitknit_rig.capture.shots import (
     Shot,
 )
 
-WatchFocus = Callable[[Focus, FocusWatch], bool]
-"""Shown every measurement; true ends the live measurement."""
 BANDS = ("white", "nir")
 
 
@@ -139,12 +136,11 @@ def run_session(
     rig: Rig,
     settings: SessionSettings | None = None,
     *,
-    watch_focus: WatchFocus | None = None,
     turn: Turn | None = None,
     progress: Progress = no_progress,
 ) -> Session:
-    """Photograph one finger under all LEDs; look at the verdict first. `watch_focus`: shown live
-    measurements until it returns stop; `turn`: of the analyser. Raises BadInput if nothing can be
+    """Photograph one finger under all LEDs; look at the verdict first. `turn`: of the
+    analyser. Raises BadInput if nothing can be
     captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the
     analyser.
     """
@@ -166,7 +162,7 @@ def run_session(
             devices, bands, settings, lambda part: progress("finding the exposure", 0.3 * part)
         )
         progress("focus", 0.3)
-        focus = _focus(devices, region, exposures["white"], watch_focus)
+        focus = _focus(devices, region, exposures["white"])
         shooting = Shooting(
             devices,
             Examiner(
@@ -213,10 +209,8 @@ def run_session(
 FOCUS_FIELD_MM = 10.0  # side of the field in the finger's middle
 
 
-def _focus(
-    devices: Devices, region: BoolArray, exposure: Exposure, watch_focus: WatchFocus | None
-) -> Focus:
-    """Measure the focus under the brightest white LED, live if somebody watches."""
+def _focus(devices: Devices, region: BoolArray, exposure: Exposure) -> Focus:
+    """Measure the focus under the brightest white LED."""
     camera, lights, px_per_mm = devices.camera, devices.lights, devices.rig.camera.px_per_mm
     camera.lock(exposure.exposure_s, exposure.gain, "white")
     rows, columns = camera.image_size
@@ -229,17 +223,11 @@ def _focus(
     for extent in bounding_box(whole):
         outside = max(0.5 * (extent.stop - extent.start - FOCUS_FIELD_MM * px_per_mm), 0.0)
         part.append(slice(int(extent.start + outside), int(np.ceil(extent.stop - outside))))
-    visible = whole[tuple(part)]
-    watch = FocusWatch()
-    while True:
-        lights.on(exposure.brightest)
-        frame = camera.capture()
-        light = grey_light(frame.pixels[tuple(part)], frame.black_level)
-        focus = measure_focus(light, visible, px_per_mm)
-        enough = watch.add(focus)
-        if watch_focus is None or watch_focus(focus, watch) or enough:
-            lights.off()
-            return focus
+    lights.on(exposure.brightest)
+    frame = camera.capture()
+    lights.off()
+    light = grey_light(frame.pixels[tuple(part)], frame.black_level)
+    return measure_focus(light, whole[tuple(part)], px_per_mm)
 
 
 # Before the shots: where the finger is, whether every LED lights, and which exposure each band
@@ -255,7 +243,6 @@ def _meter(
     """Preview the finger under every LED; find where it is on the previews' grid, and every band's
     exposure."""
     camera, lights = devices.camera, devices.lights
-    typical = MEDIAN if settings.find_finger else _BRIGHT_PERCENTILE
     region: BoolArray | None = None
     exposures: dict[str, Exposure] = {}
     for done, (band, leds) in enumerate(bands.items()):
@@ -270,7 +257,8 @@ def _meter(
             lights.on(led)
             return camera.preview()
 
-        seen = survey(look, leds, camera.exposures, settings.exposure)
+        # against the order of the shots: a camera that lags shows other LEDs in both
+        seen = survey(look, leds[::-1], camera.exposures, settings.exposure)
         lights.off()
         camera.lock(seen.exposure_s, seen.gain, spectral_band(band))
         room = camera.preview()
@@ -286,17 +274,13 @@ def _meter(
         if region is None:
             everything = np.ones(room.pixels.shape[:2], dtype=np.bool_)
             region = _region(seen, room, devices) if settings.find_finger else everything
-        dark = typical_level(room, region, typical)
-        lit = {
-            led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()
-        }
-        _check_lit(lit, dark, led_names(devices.rig))
+        _check_lit(seen, room, led_names(devices.rig))
         # both series have the parallel one's
         exposure = exposures.get(band.removesuffix("_crossed"))
         exposure = exposure or find_exposure(
             look, seen, region, camera.exposures, settings.exposure
         )
-        exposures[band] = exposure.promising(seen, lit)
+        exposures[band] = exposure.promising(seen, room)
         lights.off()
         progress((done + 1) / len(bands))
     assert region is not None
@@ -320,9 +304,11 @@ def _region(seen: Survey, room: Frame, devices: Devices) -> BoolArray:
         ) from error
 
 
-def _check_lit(levels: Mapping[int, float], dark: float, names: Sequence[str]) -> None:
+def _check_lit(seen: Survey, room: Frame, names: Sequence[str]) -> None:
+    dark = float(coarse_light(room).mean())
+    levels = {led: float(coarse_light(frame).mean()) - dark for led, frame in seen.frames.items()}
     typical = float(np.median(list(levels.values())))
-    unlit = [names[led] for led, level in levels.items() if level < max(0.12 * typical, 0.002)]
+    unlit = [names[led] for led in sorted(levels) if levels[led] < 0.12 * typical]
     require(
         not unlit,
         f"{listed(unlit)} did not light; check {'its' if len(unlit) == 1 else 'their'} wiring and"

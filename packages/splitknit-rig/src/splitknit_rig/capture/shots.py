@@ -18,7 +18,7 @@ from splitknit.finger.regions import blur, dilate, reduce_image
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.nominal import side_lights
 from splitknit.settings import Checked, Limits
-from splitknit_rig.capture.exposure import MEDIAN, Exposure, grey_light
+from splitknit_rig.capture.exposure import MEDIAN, Exposure, coarse_light, grey_light
 from splitknit_rig.capture.pins import led_names
 
 
@@ -44,8 +44,13 @@ class Look:
     details: FloatArray
     level: float  # median of the finger (or another percentile), 1 = full scale
     saturated: float  # fraction of the finger at full scale
+    light: FloatArray  # see :func:`splitknit_rig.capture.exposure.coarse_light`
 
 
+MAX_MISFIT = 0.09
+"""Light of a shot off what its preview promised, relative. Less than the 0.13 of a frame that was
+exposed a step of `EXPOSURE_STEP` less; a finger that moved by 0.5 mm changes 0.04. Chosen on:
+simulated fingers."""
 _DRIFTED_MM = 0.12
 """Against all shots of its band, the light's part taken off. Chosen on: simulated fingers (four at
 half scale; a light that changes place looks like up to 0.07 mm)."""
@@ -97,7 +102,24 @@ class Examiner:
         saturated = (
             float(np.mean(clipped.sum(axis=1) >= min(2, full.shape[2]))) if clipped.size else 0.0
         )
-        return Look(grey, details, level, saturated)
+        return Look(grey, details, level, saturated, coarse_light(frame))
+
+    def misfit(self, light: FloatArray, promised: FloatArray, *, any_gain: bool = False) -> float:
+        """How far the light of the finger is off what a preview promised, relative, in the worst of
+        four strips of rows, as a part of a frame may be another's; `any_gain`: but for one
+        factor."""
+        size = light.shape[::-1]
+        whole = cv2.resize(self.region.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        inside = whole > min(0.99, float(whole.max()) - 0.01)
+        inside &= promised > 0.1 * float(promised[inside].max())  # what stays dark shows noise
+        expected = np.where(inside, promised, 0.0)
+        found = np.where(inside, light, 0.0)
+        if any_gain:
+            expected = expected * (found.sum() / max(float(expected.sum()), 1e-9))
+        strips = np.array_split(np.flatnonzero(inside.any(axis=1)), 4)
+        off = np.array([np.abs(found[rows] - expected[rows]).sum() for rows in strips])
+        level = np.array([np.abs(expected[rows]).sum() for rows in strips])
+        return float((off / np.maximum(level, max(0.5 * level.mean(), 1e-9))).max())
 
     def shine(self, look: Look, dark: Look) -> float:
         """Level of the finger's specular reflections in a shot, less that without LEDs, 1 = full
@@ -154,6 +176,9 @@ class Shot:
     gain: float
     discarded: int  # frames that the camera threw away before it
     retries: int
+    misfit: float | None
+    """Light off what the LED's preview promised at this exposure, relative; None for ambient
+    frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,7 +235,7 @@ class Shooting:
         self._camera.lock(exposure.exposure_s, exposure.gain, spectral_band(band))
         self._lights.off()
         self._series = " crossed" if band == "white_crossed" else ""
-        ambient, dark = self._take()
+        ambient, dark = self._ambient(exposure)
         self._note(f"{spectral_band(band)}{self._series} ambient", None, ambient, dark)
         pixels: Any = np.empty((len(leds), *ambient.pixels.shape), dtype=ambient.pixels.dtype)
         exposures = []
@@ -218,7 +243,7 @@ class Shooting:
         looks = []
         for k, led in enumerate(leds):
             self._progress(self._name(led), len(self.shots) / total)
-            frame, look = self._lit(led, dark, exposure.expected[led])
+            frame, look = self._lit(led, dark, exposure)
             pixels[k] = frame.pixels
             exposures.append(relative_exposure(frame))
             black_levels.append(frame.black_level)
@@ -240,14 +265,27 @@ class Shooting:
     def _name(self, led: int) -> str:
         return self._names[led] + self._series
 
-    def _lit(self, led: int, dark: Look, expected: float) -> tuple[Frame, Look]:
+    def _ambient(self, exposure: Exposure) -> tuple[Frame, Look]:
+        """Photograph without LEDs, again where there is light that was not there before."""
+        for _ in range(self._settings.retries + 1):
+            frame, look = self._take()
+            lit = min(float(light.mean()) for light in exposure.light.values())
+            if exposure.room is None or float((look.light - exposure.room).mean()) < 0.1 * lit:
+                return frame, look
+        self.verdict.append(
+            "the ambient frame shows light although all LEDs are off: the camera gave another"
+            " frame, or an LED stayed on; capture again"
+        )
+        return frame, look
+
+    def _lit(self, led: int, dark: Look, exposure: Exposure) -> tuple[Frame, Look]:
         """Photograph the finger under one LED, again where it went wrong."""
         for attempt in range(self._settings.retries + 1):
             if attempt:
                 self._lights.off()
             self._lights.on(led)
             frame, look = self._take()
-            moved, troubles = self._examine(led, look, dark, expected)
+            moved, misfit, troubles = self._examine(led, look, dark, exposure)
             if not troubles or attempt == self._settings.retries:
                 break
             if troubles[0][0] == "moved" and not self._steady:
@@ -255,7 +293,9 @@ class Shooting:
         for kind, words in troubles:
             self.verdict.append(words)
             self._steady = self._steady and kind != "moved"
-        self._note(self._name(led), led, frame, look, moved_mm=moved, retries=attempt)
+        self._note(
+            self._name(led), led, frame, look, moved_mm=moved, misfit=misfit, retries=attempt
+        )
         if not any(kind == "unlit" for kind, _ in troubles):
             self._before.append((led, self._name(led), look))
         return frame, look
@@ -266,12 +306,26 @@ class Shooting:
         return frame, self._examiner.look(frame)
 
     def _examine(
-        self, led: int, look: Look, dark: Look, expected: float
-    ) -> tuple[float | None, list[tuple[str, str]]]:
-        """Motion in mm, and what is wrong: kinds, and words."""
+        self, led: int, look: Look, dark: Look, exposure: Exposure
+    ) -> tuple[float | None, float, list[tuple[str, str]]]:
+        """Motion in mm, misfit of the light, and what is wrong: kinds, and words."""
         name = self._name(led)
-        if look.level - dark.level < 0.4 * expected:
-            return None, [("unlit", f"{name} did not light: check its wiring and capture again")]
+        light = look.light - dark.light
+        crossed = bool(self._series)  # by how much darker is not known
+        misfits = {
+            other: self._examiner.misfit(light, promised, any_gain=crossed)
+            for other, promised in exposure.light.items()
+        }
+        misfit, closest = misfits[led], min(misfits, key=lambda other: misfits[other])
+        if light.sum() < 0.4 * exposure.light[led].sum():
+            words = f"{name} did not light: check its wiring and capture again"
+            return None, misfit, [("unlit", words)]
+        if misfits[closest] < 0.5 * misfit:
+            words = (
+                f"{name} shows the light of {self._name(closest)}: the camera gave another frame,"
+                " or plugs are exchanged; capture again"
+            )
+            return None, misfit, [("unlit", words)]
         troubles = []
         moved = None
         if look.saturated > 0.05:
@@ -300,7 +354,15 @@ class Shooting:
                     f"the finger moved by {moved:.1f} mm {between}: hold still and capture again"
                 )
                 troubles.append(("moved", words))
-        return moved, troubles
+        wrong = closest != led or (misfit > MAX_MISFIT and not crossed)
+        if wrong and not troubles:
+            words = (
+                f"{name} is {100 * misfit:.0f} % off the light that its preview showed: the finger"
+                " moved since, the light changed, or the camera did not expose as it states;"
+                " capture again"
+            )
+            troubles.append(("light", words))
+        return moved, misfit, troubles
 
     def check_drift(self) -> None:
         """Look for slow motion after the last shot. Not under side lights, whose shadows pass for
@@ -354,6 +416,7 @@ class Shooting:
         look: Look,
         *,
         moved_mm: float | None = None,
+        misfit: float | None = None,
         retries: int = 0,
     ) -> None:
         self.shots.append(
@@ -368,5 +431,6 @@ class Shooting:
                 frame.gain,
                 frame.discarded,
                 retries,
+                misfit,
             )
         )
