@@ -69,7 +69,7 @@ def test_photographs_and_captures_are_not_read_through_links(
         assert f"{name}' is a link inside a folder" in capsys.readouterr().err
         (folder / name).unlink()
         away.rename(folder / name)
-    for name in ("capture.json", "rig.json", "white_0.png"):
+    for name in ("capture.json", "rig.json", "white_0.tiff"):
         (captured / name).rename(captured / f"own_{name}")
         (captured / name).symlink_to(captured / f"own_{name}")  # even to a file of the folder
         assert main(f"reconstruct {captured} --out {captured.parent}/out".split()) == 2

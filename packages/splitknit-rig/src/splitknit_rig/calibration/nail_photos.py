@@ -111,8 +111,8 @@ def _nail_files(folder: Path) -> Files:
         bands = _bands(place)
         require(
             bands,
-            f"{place} holds no photographs of the nail; they are named white_0.png to white_6.png"
-            " and nir_0.png to nir_6.png, in a subfolder for each position of the nail.",
+            f"{place} holds no photographs of the nail; they are named white_0 to white_6 and"
+            " nir_0 to nir_6 (.tiff, .png or .jpg), in a subfolder for each position of the nail.",
         )
         for band in [band for band in BANDS if band in bands]:
             absent = [led for led in range(LEDS_PER_BAND) if led not in bands[band]]
