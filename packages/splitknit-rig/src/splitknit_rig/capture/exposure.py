@@ -51,10 +51,10 @@ class Exposure:
     gain: float
     brightest: int  # LED under which the finger is brightest
     level: float  # fraction of full scale that the finger reaches under it
-    # LED to the light (h, w) that its preview shows, see :func:`coarse_light`
+    # LED to the light (h, w, C) that its preview shows, see :func:`coarse_light`
     light: Mapping[int, FloatArray] = field(default_factory=dict)
     room: FloatArray | None = None
-    """(h, w) the same with all LEDs off."""
+    """(h, w, C) the same with all LEDs off."""
 
     def promising(self, seen: Survey, room: Frame) -> Exposure:
         """With what the previews promise of the shots, and `room`, the preview without LEDs."""
@@ -64,11 +64,14 @@ class Exposure:
 
 
 def coarse_light(frame: Frame) -> FloatArray:
-    """(h, w) mean light of a frame or its preview in 48 cells across, over the exposure: what shows
-    which LED and exposure made it."""
-    grey = grey_light(frame.pixels, frame.black_level) / np.float32(relative_exposure(frame))
-    size = (48, max(1, round(48 * grey.shape[0] / grey.shape[1])))
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
+    """(h, w, C) mean light of a frame or its preview in 48 cells across, over the exposure: what
+    shows which LED, exposure and white balance made it."""
+    rows, columns, channels = frame.pixels.shape
+    size = (48, max(1, round(48 * rows / columns)))
+    stored = frame.pixels.astype(np.float32)
+    cells = cv2.resize(stored, size, interpolation=cv2.INTER_AREA).reshape(size[1], 48, channels)
+    full = float(np.iinfo(frame.pixels.dtype).max)
+    return np.asarray((cells - frame.black_level) / (full * relative_exposure(frame)), np.float32)
 
 
 EXPOSURE_STEP = 1.15

@@ -108,12 +108,13 @@ class Examiner:
         """How far the light of the finger is off what a preview promised, relative, in the worst of
         four strips of rows, as a part of a frame may be another's; `any_gain`: but for one
         factor."""
-        size = light.shape[::-1]
+        size = light.shape[1::-1]
         whole = cv2.resize(self.region.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         inside = whole > min(0.99, float(whole.max()) - 0.01)
-        inside &= promised > 0.1 * float(promised[inside].max())  # what stays dark shows noise
-        expected = np.where(inside, promised, 0.0)
-        found = np.where(inside, light, 0.0)
+        grey = promised.mean(axis=2)
+        inside &= grey > 0.1 * float(grey[inside].max())  # what stays dark shows noise
+        expected = np.where(inside[..., None], promised, 0.0)
+        found = np.where(inside[..., None], light, 0.0)
         if any_gain:
             expected = expected * (found.sum() / max(float(expected.sum()), 1e-9))
         strips = np.array_split(np.flatnonzero(inside.any(axis=1)), 4)
