@@ -108,7 +108,8 @@ def sound() -> dict[str, object]:
             hollow += [seed] if any(finding.code == "hollow" for finding in findings) else []
             findings = tuple(finding for finding in findings if finding.code != "hollow")
         shine += any(finding.code == "glossy" for finding in findings)
-        findings = tuple(finding for finding in findings if finding.code != "glossy")
+        of_gloss = {"glossy", "height-factor"}
+        findings = tuple(finding for finding in findings if finding.code not in of_gloss)
         if findings:
             alarms[str(seed)] = [str(finding) for finding in findings]
     return {
