@@ -313,7 +313,7 @@ def read_capture(
         require(
             hashes.get(str(folder / file)) == stated_hash,
             f"{folder / file} is damaged or was changed: it is not the file that {name} states;"
-            " copy it again, or leave it out of `sha256` there.",
+            " copy it again, or take its hash out there.",
         )
     return Capture(
         rig,
