@@ -58,6 +58,7 @@ def unit_vectors(stored: NDArray[Any], name: str, opaque: BoolArray | None = Non
     not that of a unit vector. Raises BadInput if that is most of what is not empty."""
     scale = float(np.iinfo(stored.dtype).max) if stored.dtype.kind == "u" else 1.0
     values = np.nan_to_num(stored.astype(np.float32), posinf=0.0, neginf=0.0) / np.float32(scale)
+    values = np.clip(values, -1e6, 1e6)  # so that squares stay finite
     used = values.any(axis=2) if opaque is None else values.any(axis=2) & opaque
     drawn = used & (values != values[0, 0]).any(axis=2)  # a corner has the background's colour
     used = drawn if drawn.any() else used
