@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput
 from splitknit.imaging.pixels import srgb_code
 from splitknit.io.csv_table import csv_text
+from splitknit.methods.photographs import FingerPhotographs
 from splitknit.observation.plain import capture_of_arrays
 from splitknit.photometric.lambertian import lambertian
 from splitknit.pipeline import located
@@ -113,12 +114,16 @@ def mistakes(images: Array, lights: Array, inside: Array) -> Iterator[tuple[str,
     yield "lights stated 12 deg too high", images, np.column_stack([level, np.sin(up)])
 
 
+def photographs_of(images: Array, lights: Array, mask: Array | None) -> FingerPhotographs:
+    """The object in photographs stored as 16 bits, and what is wrong with them."""
+    codes = np.clip(images / images.max() * 65535, 0, 65535).astype(np.uint16)
+    return located(capture_of_arrays(codes, lights, mask, 10.0)[0])
+
+
 def said(images: Array, lights: Array, mask: Array | None) -> str:
     """Codes of the findings on photographs."""
-    codes = np.clip(images / images.max() * 65535, 0, 65535).astype(np.uint16)
     try:
-        capture, _ = capture_of_arrays(codes, lights, mask, 10.0)
-        findings = located(capture).findings
+        findings = photographs_of(images, lights, mask).findings
     except BadInput as error:
         return f"refused: {error}"
     left_open = {"overexposed-photograph", "saturated-photograph", "scale-unknown"}
@@ -132,8 +137,7 @@ def main() -> None:
         images, lights, mask = thing(name)
         lights /= np.linalg.norm(lights, axis=1, keepdims=True)
         if mask is None:
-            codes = np.clip(images / images.max() * 65535, 0, 65535).astype(np.uint16)
-            mask = located(capture_of_arrays(codes, lights, None, 10.0)[0]).finger.mask
+            mask = photographs_of(images, lights, None).finger.mask
         sound = lambertian(images, lights, mask)[0]
         for mistake, spoilt, stated in mistakes(images, lights, mask):
             cosine = (lambertian(spoilt, stated, mask)[0] * sound).sum(axis=2)[mask]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import cv2
@@ -362,14 +363,18 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
         if "white_crossed" in _used(captures[0]).bands:
             yield from _asked([FILMS], crossed)
 
+    @cache
+    def laid_over() -> _LaidOver:
+        return _LaidOver.of(*results)
+
     def again() -> Iterator[Answer]:
         for result in results:
             spoilt = [str(each) for each in result.findings if each.severity == Severity.SPOILS]
             require(not spoilt, "".join(spoilt[:1]))
-        yield _answer(REPEAT, _LaidOver.of(*results).likeness)
+        yield _answer(REPEAT, laid_over().likeness)
 
     def flicker() -> Iterator[Answer]:
-        over = _LaidOver.of(*results)
+        over = laid_over()
         rig = _used(captures[0]).rig
         changes = np.zeros(len(rig.leds))
         first, second = (observe(_used(taken)).bands for taken in captures)

@@ -139,10 +139,9 @@ def run_session(
     turn: Turn | None = None,
     progress: Progress = no_progress,
 ) -> Session:
-    """Photograph one finger under all LEDs; look at the verdict first. `turn`: of the
-    analyser. Raises BadInput if nothing can be
-    captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the
-    analyser.
+    """Photograph one finger under all LEDs; look at the verdict first. `turn`: of the analyser.
+    Raises BadInput if nothing can be captured: wrong rig, no finger, a dead LED, no exposure that
+    fits, nothing that turns the analyser.
     """
     settings = settings or SessionSettings()
     bands = _check_fit(camera, lights, rig)

@@ -146,10 +146,8 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
             f"the brightness of the lights was estimated and taken out as was asked, {effect}, but"
             f" the photographs do not show it clearly; shine and shadow look so too: {each}."
         )
-    facts = {
-        "light_brightness": [round(float(gain), 3) for gain in relative],
-        "matt_misfit": round(fits["unequal"].misfit, 4),
-    }
+    facts["light_brightness"] = [round(float(gain), 3) for gain in relative]
+    facts["matt_misfit"] = round(fits["unequal"].misfit, 4)
     finding = Finding("estimated-brightness", words, severity, effect_deg=turned_deg)
     return band.divided_by(gains[:, None] * _of_colours(grey, colours)), facts, [finding]
 

@@ -450,7 +450,7 @@ def write_capture(
         def write(image: tuple[str, PixelArray]) -> str:
             data = encode_image(image[1], suffix, compress=True)
             (target / image[0]).write_bytes(data)
-            return hashlib.sha256(data).hexdigest()
+            return hashlib.sha256(data).hexdigest() if images == "tiff" else ""
 
         with ThreadPoolExecutor(cores()) as pool:
             hashes = list(pool.map(write, files))
