@@ -1,6 +1,6 @@
 """Rendered objects under anybody's lights: what is noticed, and how accurate the surface is.
 
-    python validation/objects/measure.py [lights] [faults] [sound] [brightness] [gloss]
+    python validation/objects/measure.py [lights] [faults] [sound] [brightness] [gloss] [encoding]
 
 Each writes tables/NAME.json. Objects are those of render.py, with seeds that nothing was tuned on.
 """
@@ -14,12 +14,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import glossy
+import mistakes
 import numpy as np
 from render import PX_PER_MM, SHAPES, Rendered, rendered, spoilt
 
 import splitknit
 from splitknit.errors import BadInput
+from splitknit.imaging.pixels import srgb_code
 from splitknit.observation.plain import capture_of_arrays
+from splitknit.pipeline import located
 
 TABLES = Path(__file__).with_name("tables")
 FIRST_SEED = 200
@@ -161,12 +164,36 @@ def gloss() -> dict[str, object]:
     return rows
 
 
+def encoding() -> dict[str, object]:
+    """As what photographs of 8 bits are read whose encoding nobody states: both of things rendered
+    here, and of photographed ones (of which bear, ball and coin served to choose the limit)."""
+    things = {f"rendered {seed}": rendered(FIRST_SEED + seed) for seed in range(2 * len(SHAPES))}
+    things |= {name: glossy.photographed(*thing[:4]) for name, thing in glossy.THINGS.items()}
+    stacks = {
+        name: (target.images / 65535.0, target.lights, target.mask)
+        for name, target in things.items()
+    }
+    rows: dict[str, object] = {}
+    for name in (*stacks, *mistakes.THINGS):
+        light, lights, mask = stacks[name] if name in stacks else mistakes.thing(name)
+        units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
+        light = np.clip(light / light.max(), 0.0, 1.0)
+        rows[name] = {
+            stored: located(
+                capture_of_arrays(np.rint(255 * code(light)).astype(np.uint8), units, mask, 10.0)[0]
+            ).observation.encoding
+            for stored, code in (("linear", np.asarray), ("srgb", srgb_code))
+        }
+    return rows
+
+
 PARTS: dict[str, Callable[[], dict[str, object]]] = {
     "lights": by_lights,
     "faults": faults,
     "sound": sound,
     "brightness": brightness,
     "gloss": gloss,
+    "encoding": encoding,
 }
 
 if __name__ == "__main__":

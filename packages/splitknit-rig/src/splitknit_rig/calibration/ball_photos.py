@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,14 @@ import numpy as np
 from splitknit import Camera, Led, Rig
 from splitknit.errors import refusing, require
 from splitknit.findings import Finding, Severity, worst_first
+from splitknit.imaging.pixels import srgb_light
 from splitknit.imaging.view import plane_points
 from splitknit.io.photograph_files import natural_order, some_of
 from splitknit.io.photos import FORMATS, SUFFIXES, encoding_of, read_photo
 from splitknit.io.provenance import file_hash, plain_json, provenance
 from splitknit.model import Array, BoolArray, FloatArray, camera_without_scale
 from splitknit.nominal import side_lights
-from splitknit.observation.encoding import shading_is_srgb
+from splitknit.photometric.forward import matt_misfit
 from splitknit.photometric.places import (
     CAMERA_HEIGHT,
     GROUND_POINTS,
@@ -198,8 +198,8 @@ def lights_of_ball(shown: BallPhotographs, base: Rig, out: Path | None) -> Light
     )
     encoding = shown.encoding
     if encoding is None:
-        is_srgb = partial(_ball_is_srgb, stack, balls[0]) if kind == "grey" else lambda: False
-        encoding, note = encoding_of(paths, is_srgb)
+        likely = _likely_encoding(stack, balls[0]) if kind == "grey" else "linear"
+        encoding, note = encoding_of(paths, likely)
         findings.append(Finding("assumed-encoding", note))
         if encoding == "srgb":
             stack, _ = read_stack(paths, camera.image_size, encoding, upright=True)
@@ -431,13 +431,18 @@ def place_on_plane(rig: Rig, ball: Ball, names: Sequence[str]) -> BallPlace:
     return BallPlace(middle, radius, eye, distances, frozenset(side_lights(drawn)))
 
 
-def _ball_is_srgb(codes: FloatArray, ball: Ball) -> bool | None:
-    """Whether the shading of a matt ball of known normals is that of sRGB values: its pixels are
-    the lights here."""
+def _likely_encoding(codes: FloatArray, ball: Ball) -> str:
+    """How stored values of a matt ball of known normals are encoded, by their shading: its pixels
+    are the lights of the forward model here, and its lights the normals."""
     normals = ball.normals(codes.shape[1:])
     inner = np.argwhere(np.nan_to_num(normals[..., 2]) > 0.3)
     rows, columns = inner[:: max(1, len(inner) // 2000)].T
-    return shading_is_srgb(codes[:, rows, columns].T, normals[rows, columns], known=True)
+    values = codes[:, rows, columns].T
+    linear, srgb = (
+        matt_misfit(np.where(values < 0.97, light, 0.0), normals[rows, columns].astype(np.float32))
+        for light in (values, srgb_light(values))
+    )
+    return "linear" if linear < srgb else "srgb"
 
 
 def photographs_of_balls(folder: Path) -> list[tuple[str, int, Path]]:

@@ -53,9 +53,7 @@ def tips_of_photos(
     )
     files = _nail_files(folder)
     if encoding is None:  # a shadow's tip lies where it lies; nothing else decides
-        encoding, _ = encoding_of(
-            [path for paths in files.values() for path in paths], lambda: False
-        )
+        encoding, _ = encoding_of([path for paths in files.values() for path in paths], "linear")
     tips: list[Tip] = []
     tiles: list[_Tile] = []
     hashes: dict[str, str] = {}

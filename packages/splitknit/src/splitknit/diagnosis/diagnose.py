@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splitknit.diagnosis.brightness import findings_on_encoding, with_equal_lights
+from splitknit.diagnosis.brightness import with_encoding, with_equal_lights
 from splitknit.diagnosis.frames import HIGH_RESIDUAL, TURNED, LightFit, doubt_of_lights, fit_lights
 from splitknit.diagnosis.lights import findings_on_places, with_places_by_ground
 from splitknit.diagnosis.masks import findings_on_mask, findings_on_outline
@@ -49,9 +49,12 @@ def diagnose(observation: Observation, finger: Finger, *, fit_places: bool = Tru
     """
     skin = observation.material == "skin"
     places: dict[str, Any] = {}
-    of_places: list[Finding] = []
+    before: list[Finding] = []
+    if not skin:
+        observation, before = with_encoding(observation, finger)
     if fit_places and not skin:
         observation, places, of_places = with_places_by_ground(observation, finger)
+        before += of_places
     white = observation.white
     fit = None
     if not (skin and white.colours):
@@ -66,7 +69,7 @@ def diagnose(observation: Observation, finger: Finger, *, fit_places: bool = Tru
     judged = _judged_skin if skin else _judged_object
     observation, facts, findings = judged(observation, finger, fit)
     finger = replace(finger, facts={**finger.facts, **places, **facts})
-    return Diagnosis(observation, finger, (*of_places, *of_mask, *findings, *films))
+    return Diagnosis(observation, finger, (*before, *of_mask, *findings, *films))
 
 
 def _judged_object(
@@ -75,7 +78,7 @@ def _judged_object(
     """An opaque object without the photographs that do not fit the others, under equal lights;
     facts, and findings."""
     facts: dict[str, Any] = {}
-    findings = findings_on_encoding(observation, finger)
+    findings: list[Finding] = []
     # in another order, none of them is at fault
     if fit is None or fit.in_order or fit.frame == TURNED:
         bands = dict(observation.bands)

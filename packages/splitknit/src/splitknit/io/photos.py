@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -104,17 +104,15 @@ def _check_upright(check: SizeCheck | None, rows: int, columns: int, orientation
         check(*((rows, columns) if orientation < 5 else (columns, rows)))
 
 
-def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) -> tuple[str, str]:
+def encoding_of(files: Sequence[Path], of_8_bits: str = "srgb") -> tuple[str, str]:
     """Encoding of photographs that came without one, and a note on it; the same rule for every
     verb.
 
     Camera RAW is linear; JPEG, WEBP and HEIC are sRGB; PNG is what its chunks sRGB, gAMA and iCCP
-    state. Other files of 16 bits or floats are linear; those of 8 bits have the encoding that fits
-    their shading better, or sRGB if both fit. `by_shading`: returns whether sRGB fits better, None
-    if both fit, see :func:`splitknit.observation.encoding.shading_is_srgb`; called only if needed.
-    Raises BadInput if some have a tone curve and some have none.
+    state. Other files of 16 bits or floats are linear; those of 8 bits may be either, and are taken
+    as `of_8_bits`. Raises BadInput if some have a tone curve and some have none.
     """
-    encodings = {_stated_encoding(file) for file in files}
+    encodings = {stated_encoding(file) for file in files}
     require(
         len(encodings) == 1,
         "the photographs are of several kinds, some with a tone curve (JPEG, WEBP, HEIC, PNG that"
@@ -125,16 +123,10 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
     if stated:
         why = "stated in" if suffix == ".png" else "assumed of"
         return stated, f"encoding {stated} is {why} the {suffix} files (`encoding` changes it)."
-    curved = by_shading()
-    if curved is False or _header_of(files[0]).dtype != np.uint8:
+    if of_8_bits == "linear" or _header_of(files[0]).dtype != np.uint8:
         return "linear", (
             f"encoding linear is assumed of the {suffix} files, which state none; give `encoding`"
             " srgb if a program for pictures or a telephone saved them."
-        )
-    if curved:
-        return "srgb", (
-            f"encoding srgb fits the shading in the {suffix} files better than linear (`encoding`"
-            " changes it)."
         )
     return "srgb", (
         f"encoding srgb is assumed of the {suffix} files of 8 bits, which state none; give"
@@ -142,7 +134,7 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
     )
 
 
-def _stated_encoding(file: Path) -> str:
+def stated_encoding(file: Path) -> str:
     """``srgb``, ``linear``, or nothing where the file's kind leaves it open."""
     suffix = file.suffix.lower()
     if suffix in SRGB_SUFFIXES or suffix in RAW_SUFFIXES:

@@ -31,7 +31,14 @@ from splitknit.io.photograph_files import (
     some_of,
 )
 from splitknit.io.photographs import SCALES, GivenPhotographs
-from splitknit.io.photos import FORMATS, RAW_SUFFIXES, Photo, encoding_of, read_photo
+from splitknit.io.photos import (
+    FORMATS,
+    RAW_SUFFIXES,
+    Photo,
+    encoding_of,
+    read_photo,
+    stated_encoding,
+)
 from splitknit.io.provenance import file_hash
 from splitknit.io.rig import read_rig
 from splitknit.model import (
@@ -45,7 +52,6 @@ from splitknit.model import (
     Rig,
     camera_without_scale,
 )
-from splitknit.observation.encoding import shading_is_srgb
 from splitknit.observation.films import NOT_SPECULAR, split_mosaic
 from splitknit.observation.stored import coarse_flat, decode_table, linear_image, stored_values
 from splitknit.reconstruction import UNKNOWN_SCALE
@@ -324,10 +330,11 @@ def capture_of_arrays(
     notes: list[Finding] = []
     encoding = "linear"
     if kind == np.uint8:
-        curved = _values_are_srgb(list(map(_sampled, stack)), rig)
-        encoding = "linear" if curved is False else "srgb"
-        why = "was assumed" if curved is None else "fits the shading"
-        words = f"the encoding {encoding} {why} of images of 8 bits."
+        encoding = "srgb"
+        rig = _of_assumed_encoding(rig)
+        words = (
+            "the encoding srgb was assumed of images of 8 bits; linear light is given as floats."
+        )
         notes.append(Finding("assumed-encoding", words))
     if colours is not None:
         gains = _gains(colours)
@@ -367,7 +374,7 @@ def _assembled(
     linear = raw is None or photographs.encoding != "srgb"
     require(linear, f"{raw} is camera RAW, whose light is linear.")
     check_lights(rig.light_vectors())
-    encoding, notes = _encoding(files, rig, photographs)
+    rig, encoding, notes = _encoding(files, rig, photographs)
     first = _series_of(different[0], photographs)
     form = _form_of(different[0], first[0], encoding, photographs.max_megapixels)
     if lights.colours is not None and len(different) > 1 and form.shape[2] == 3:
@@ -499,49 +506,22 @@ def _each_once(files: Sequence[Path], photographs: GivenPhotographs) -> Sequence
 
 def _encoding(
     files: Sequence[Path], rig: Rig, photographs: GivenPhotographs
-) -> tuple[str, list[Finding]]:
-    """The encoding that is stated, or by :func:`splitknit.io.photos.encoding_of`; and notes."""
+) -> tuple[Rig, str, list[Finding]]:
+    """The encoding that is stated, or by :func:`splitknit.io.photos.encoding_of`; and notes. What
+    is calibrated by `flat` is an industrial camera's, and linear."""
     if photographs.mosaic is not None:
-        return "linear", []
-    if photographs.encoding is None:
-        encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, photographs))
-        return encoding, [Finding("assumed-encoding", note)]
-    return photographs.encoding, []
+        return rig, "linear", []
+    if photographs.encoding is not None:
+        return rig, photographs.encoding, []
+    encoding, note = encoding_of(files, "srgb" if photographs.flat is None else "linear")
+    if encoding == "srgb" and not stated_encoding(files[0]):
+        rig = _of_assumed_encoding(rig)
+    return rig, encoding, [Finding("assumed-encoding", note)]
 
 
-def _shading_is_srgb(files: Sequence[Path], rig: Rig, photographs: GivenPhotographs) -> bool | None:
-    """Whether the shading in photographs of 8 bits is that of sRGB values, None where it decides
-    nothing. What is calibrated by `flat` is an industrial camera's, and linear.
-    """
-    if photographs.flat is not None:
-        return False
-    # lights of known brightness from which shading shows the curve; one more where it is estimated
-    if len(files) < 5:
-        return None
-    number = min(len(files), 24)  # enough, and quick
-    chosen = np.unique(np.linspace(0, len(files) - 1, number).astype(int))
-    values = []
-    shape: tuple[int, ...] = ()
-    for k in chosen:
-        check = partial(_check_like, shape, files[0], files[k]) if shape else None
-        pixels = read_photo(files[k], check).pixels
-        if pixels.dtype != np.uint8:
-            return None
-        values.append(_sampled(pixels))
-        shape = pixels.shape
-    return _values_are_srgb(values, replace(rig, leds=tuple(rig.leds[k] for k in chosen)))
-
-
-def _sampled(pixels: NDArray[Any]) -> FloatArray:
-    """Some 20,000 values in [0, 1] of the green channel of an image (H, W, C)."""
-    step = max(1, round((pixels[..., 0].size / 20_000) ** 0.5))
-    sample = pixels[::step, ::step, pixels.shape[2] // 2].ravel()
-    return sample / np.float32(np.iinfo(pixels.dtype).max)
-
-
-def _values_are_srgb(values: Sequence[FloatArray], rig: Rig) -> bool | None:
-    known = not rig.intensities_assumed
-    return shading_is_srgb(np.stack(values), rig.light_vectors(), known=known)
+def _of_assumed_encoding(rig: Rig) -> Rig:
+    """The rig, marked so that the photographs' shading may decide how they are stored."""
+    return replace(rig, provenance={**rig.provenance, "encoding": "assumed"})
 
 
 def _check_like(

@@ -59,7 +59,7 @@ def separate_photograph(
     file = photographs[0]
     progress("reading", 0.0)
     if encoding is None:
-        encoding, _ = encoding_of(photographs, lambda: None)
+        encoding, _ = encoding_of(photographs)
     photo = read_photo(file)
     require(photo.pixels.dtype.kind == "u", f"{file} holds floats; save it as 16-bit PNG or TIFF.")
     white = linear_image(photo.pixels, encoding)
@@ -137,7 +137,7 @@ def separate_polarised_folders(
         " photograph a light, in the same order.",
     )
     if encoding is None:
-        encoding, _ = encoding_of(series[0], lambda: False)
+        encoding, _ = encoding_of(series[0], "linear")
     hashes = {}
     kinds: set[tuple[tuple[int, ...], np.dtype[Any]]] = set()
     specular: NDArray[np.floating] = np.zeros(1, np.float32)
