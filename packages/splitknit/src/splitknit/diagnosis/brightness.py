@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from splitknit.diagnosis.gains import LEAST_PHOTOGRAPHS, median_angle_deg
+from splitknit.diagnosis.samples import LEAST_PHOTOGRAPHS, median_angle_deg
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.imaging.light_field import light_vectors_at

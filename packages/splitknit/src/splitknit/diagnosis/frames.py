@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.checks import check_lights, check_mask, check_stack
-from splitknit.diagnosis.gains import median_angle_deg
+from splitknit.diagnosis.samples import median_angle_deg
 from splitknit.errors import require
 from splitknit.findings import Finding, Severity
 from splitknit.imaging.geometry import bounding_box, smoothed

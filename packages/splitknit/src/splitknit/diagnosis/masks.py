@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.diagnosis.gains import checked
-from splitknit.diagnosis.samples import sampled_light
+from splitknit.diagnosis.samples import checked, sampled_light
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.finger.regions import border, erode

@@ -18,15 +18,12 @@ import numpy as np
 
 from splitknit.checks import check_lights
 from splitknit.diagnosis.frames import SPOILT_DEG
-from splitknit.diagnosis.gains import (
-    GAINS_PIXELS,
+from splitknit.diagnosis.samples import (
     LEAST_PHOTOGRAPHS,
     checked,
-    light_gains,
-    lit_values,
     median_angle_deg,
+    sampled_light,
 )
-from splitknit.diagnosis.samples import sampled_light
 from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
@@ -42,6 +39,7 @@ from splitknit.photometric.equations import (
     shading,
     unit_normals,
 )
+from splitknit.photometric.forward import lamp_gains
 
 GLOSSY_LEFT = 0.1
 """Light that the other photographs leave unexplained (:attr:`_Comparison.left`) from which the
@@ -72,6 +70,7 @@ class PhotographFault:
 
 
 _FEWEST_COMPARED = 400  # pixels that a comparison needs, in px
+_FITTED = 8000  # pixels to which derivatives are fitted, in px: speed
 
 
 def faulty_photographs(
@@ -84,7 +83,8 @@ def faulty_photographs(
     stack : (L, H, W)
         Linear light, one image a light, of any material and band; fewer than five are not compared.
     lights : (L, 3)
-        Directions towards the lights; their brightness is estimated (:func:`light_gains`).
+        Directions towards the lights; their brightness is estimated
+        (:func:`splitknit.photometric.forward.lamp_gains`).
     mask : (H, W) bool, optional
         The object; everything by default.
     ceilings : float or (L,), optional
@@ -118,7 +118,8 @@ def faulty_photographs(
         for k in range(len(images))
         if clipped[k] > 0.01
     ]
-    gains = light_gains(images, vectors, inside, levels)
+    light = np.where(images < levels[:, None, None], images, 0.0)[:, inside]
+    gains = lamp_gains(light, vectors.astype(np.float32))
     dim = gains / np.median(gains)
     kept = list(range(len(images)))
     # brightness over the median photograph's below which noise and the steps of the numbers count
@@ -137,7 +138,7 @@ def faulty_photographs(
         except BadInput:  # without it they determine no normal
             break
         faults.append(replace(fault, photograph=k))
-        gains[kept] = light_gains(images[kept], vectors[kept], inside, levels[kept])
+        gains[kept] = lamp_gains(light[kept], vectors[kept].astype(np.float32))
     return tuple(faults)
 
 
@@ -168,6 +169,15 @@ _DOUBLE_LEAVES = 0.9
 Chosen on: simulated objects (4 domes under 5 to 8 lights). Range: 0.85 to 0.9."""
 
 
+def _lit_values(light: FloatArray, lights: FloatArray, ceilings: FloatArray) -> BoolArray:
+    """(L, n) where a light reaches a pixel, and its value is not clipped."""
+    relative = light / np.linalg.norm(lights, axis=1).astype(np.float32)[:, None]
+    usable = light < ceilings[:, None]
+    peak = np.max(relative, axis=0, where=usable, initial=1e-20)
+    # a light is in shadow where its image is below this part of the brightest one's
+    return np.asarray((relative > 0.1 * peak) & usable)
+
+
 class _Comparison:
     """K photographs (K, H, W), and what the rest predict of each at the n pixels of the object."""
 
@@ -178,7 +188,7 @@ class _Comparison:
         self.inside = inside
         light = images[:, inside]
         vectors = lights.astype(np.float32)
-        lit = lit_values(light, vectors, ceilings)
+        lit = _lit_values(light, vectors, ceilings)
         weights = lit.astype(np.float32)
         factors = factorise(moment_matrix(vectors, weights))
         self.g = back_substitute(
@@ -272,7 +282,7 @@ class _Comparison:
         model = _smooth(predicted)
         dy, dx = np.gradient(model)
         laplacian = np.gradient(dy, axis=0) + np.gradient(dx, axis=1)
-        every = max(1, int(known.sum()) // GAINS_PIXELS)
+        every = max(1, int(known.sum()) // _FITTED)
         terms = np.stack([model, dx, dy, laplacian])[:, known][:, ::every]
         terms = terms.astype(np.float64)
         light = target[known][::every]

@@ -35,6 +35,7 @@ _SAMPLED = 2500  # pixels to which lobe and gains are fitted
 _LAMP_PRIOR = 1e-3  # part of the mean weight that holds a lamp's gain where nothing shows it
 _FEWEST_LIGHTS = 8  # fewer leave little beside normal and lobe
 _DARK = 0.01  # a light is in shadow below this part of the brightest one's
+_STILL_RAD = 1e-4  # mean step of the normals from which a fit has converged
 _GRAZING = 0.05  # cosine below which a light may be in attached shadow, or a surface is unseen
 _MATT_MISFIT = 0.01  # relative deviation up to which a matt model explains the photographs
 GLOSS_LEAVES = 0.7
@@ -118,6 +119,17 @@ def hypotheses(images: FloatArray, lights: FloatArray) -> dict[str, Explanation]
         "unequal": pixels.solved(matt, 20, gains=True),
         "both": pixels.solved(glossy, 20, lobe=True, gains=True),
     }
+
+
+def lamp_gains(images: FloatArray, lights: FloatArray) -> FloatArray:
+    """Brightness (L,) of each photograph's lamp over what `lights` state, geometric mean one:
+    of the hypothesis ``unequal``, but from a start at any brightness. Parameters as of
+    :func:`fitted_gloss`."""
+    level = np.quantile(images, 0.9, axis=1)
+    level = np.maximum(level, 1e-6 * level.max() + 1e-12).astype(np.float32)
+    pixels, start = _some_pixels(images / level[:, None], lights)
+    gains = np.log(level) + pixels.solved(start, 20, gains=True).gains
+    return np.asarray(np.exp(gains - gains.mean()))
 
 
 def glossy_fit(images: FloatArray, lights: FloatArray, gloss: Gloss) -> FloatArray:
@@ -231,6 +243,8 @@ class _Pixels:
             # at most 0.1 rad a round
             step *= np.minimum(1.0, 0.1 / np.maximum(length(step), 1e-9))
             normals = _unit(normals + step[0] * across + step[1] * along)
+            if not lobe and length(step).mean() < _STILL_RAD:
+                break
         return Explanation(normals, table, lamps, misfit)
 
     def _residual(
