@@ -197,4 +197,5 @@ def test_mistakes_with_a_sound_set_are_named() -> None:
     assert named["none"] == ""
     assert named["lights reversed"] == named["lights shifted by one"] == "light-order"
     assert named["y points down"] == named["turned by 90 deg"] == "light-frame"
+    assert named["ambient light, 15 %"] == "ambient-light"
     assert named["lamps differ by 12 %"] == named["one lamp at 0.4"] == "estimated-brightness"

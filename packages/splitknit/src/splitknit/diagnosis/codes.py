@@ -168,7 +168,11 @@ CODES: dict[str, Code] = {
     "bright-specks": Code(
         "Bright specks lie on the finger.", "Wipe the finger, or moisten its skin."
     ),
-    "ambient-light": Code("Much light comes from elsewhere.", "Close the box, dim the room."),
+    "ambient-light": Code(
+        "Much light comes from elsewhere.",
+        "Close the box, dim the room, or give `--background`.",
+        "0 of 119 sound objects (validation/objects)",
+    ),
     "dead-led": Code("A photograph is almost black.", "Check the LED's wiring."),
     "led-brightness": Code(
         "A photograph is not as bright as the rig promises.", "Check the LED, or calibrate again."
