@@ -18,6 +18,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,68 +47,53 @@ class Sweep:
     candidates: tuple[RigCandidate, ...]
 
 
-def _plane(
+def _sweep(  # noqa: PLR0917
+    asks: str,
     fingers: int,
-    heights: Sequence[float] = HEIGHTS_MM,
-    radii: Sequence[float] = RADII_MM,
+    heights: Sequence[float] = (140.0,),
+    radii: Sequence[float] = (52.5,),
+    powers: Sequence[float] = (1.0,),
+    tilts: Sequence[float | None] = (None,),
+    resolutions: Sequence[float] = (PX_PER_MM,),
     **study: Any,
 ) -> Sweep:
-    return Sweep(
-        "height and radius",
-        ThesisStudy(fingers=fingers, **study),
-        grid(heights, radii, (1.0,), (None,), (PX_PER_MM,)),
-    )
-
-
-def _powers(fingers: int, powers: Sequence[float], **study: Any) -> Sweep:
-    return Sweep(
-        "power",
-        ThesisStudy(fingers=fingers, **study),
-        grid((140.0,), (52.5,), powers, (None,), (PX_PER_MM,)),
-    )
-
-
-def _tilts(fingers: int, **study: Any) -> Sweep:
-    tilts = (0.0, 10.0, 20.0, 30.0, None)
-    return Sweep(
-        "tilt",
-        ThesisStudy(fingers=fingers, **study),
-        grid((140.0,), (52.5,), (1.0,), tilts, (PX_PER_MM,)),
-    )
-
-
-def _resolutions(fingers: int, values: Sequence[float], **study: Any) -> Sweep:
-    return Sweep(
-        "resolution",
-        ThesisStudy(fingers=fingers, **study),
-        grid((140.0,), (52.5,), (1.0,), (None,), values),
-    )
+    candidates = grid(heights, radii, powers, tilts, resolutions)
+    return Sweep(asks, ThesisStudy(fingers=fingers, **study), candidates)
 
 
 POWERS_W = (0.005, 0.01, 0.03, 0.1, 0.4, 1.0, 3.0)
 METRIC: dict[str, Any] = {"method": "metric", "material": "skin"}
+plane = partial(_sweep, "height and radius", heights=HEIGHTS_MM, radii=RADII_MM)
+power = partial(_sweep, "power", powers=POWERS_W)
+tilt = partial(_sweep, "tilt", tilts=(0.0, 10.0, 20.0, 30.0, None))
+resolution = partial(_sweep, "resolution", resolutions=(5.0, 7.5, 10.0, 15.0, 20.0))
 SWEEPS: dict[str, Sweep] = {
-    "ea_opaque": _plane(8),
-    "ea_poisson_opaque": _plane(4, method="ea-poisson"),
-    "ea_skin": _plane(4, material="skin"),
-    "metric_skin": _plane(6, (100.0, 140.0, 200.0), (35.0, 52.5, 80.0, 100.0), **METRIC),
-    "near_ea_opaque": _plane(4, (50.0, 70.0, 85.0), (52.5, 65.0, 80.0, 100.0)),
-    "parallel_ea_opaque": _plane(
-        8, (100.0, 140.0, 200.0), (52.5, 80.0), build=BuildSettings(view="orthographic")
+    "ea_opaque": plane(8),
+    "ea_poisson_opaque": plane(4, method="ea-poisson"),
+    "ea_skin": plane(4, material="skin"),
+    "metric_skin": plane(
+        6, heights=(100.0, 140.0, 200.0), radii=(35.0, 52.5, 80.0, 100.0), **METRIC
     ),
-    "power_ea_opaque": _powers(4, POWERS_W),
-    "power_metric_skin": _powers(3, POWERS_W, **METRIC),
-    "tilt_ea_opaque": _tilts(4),
-    "tilt_metric_skin": _tilts(3, **METRIC),
-    "resolution_ea_opaque": _resolutions(4, (5.0, 7.5, 10.0, 15.0, 20.0)),
-    "resolution_metric_skin": _resolutions(3, (5.0, 7.5, 10.0, 15.0, 20.0), **METRIC),
-    "renderer_power": _powers(
-        4, (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 1.5, 2.0, 3.0, 10.0), camera="renderer"
+    "near_ea_opaque": plane(4, heights=(50.0, 70.0, 85.0), radii=(52.5, 65.0, 80.0, 100.0)),
+    "parallel_ea_opaque": plane(
+        8,
+        heights=(100.0, 140.0, 200.0),
+        radii=(52.5, 80.0),
+        build=BuildSettings(view="orthographic"),
     ),
-    "renderer": Sweep(
+    "power_ea_opaque": power(4),
+    "power_metric_skin": power(3, **METRIC),
+    "tilt_ea_opaque": tilt(4),
+    "tilt_metric_skin": tilt(3, **METRIC),
+    "resolution_ea_opaque": resolution(4),
+    "resolution_metric_skin": resolution(3, **METRIC),
+    "renderer_power": power(
+        4, powers=(0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 1.5, 2.0, 3.0, 10.0), camera="renderer"
+    ),
+    "renderer": _sweep(
         "height, radius and power under one fixed exposure",
-        ThesisStudy(fingers=3, camera="renderer"),
-        grid((100.0, 140.0, 180.0), (35.0, 52.5, 70.0), (0.3, 1.0, 3.0), (None,), (PX_PER_MM,)),
+        *(3, (100.0, 140.0, 180.0), (35.0, 52.5, 70.0), (0.3, 1.0, 3.0)),
+        camera="renderer",
     ),
 }
 
@@ -136,14 +122,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     own.add_argument("--fingers", type=int, default=2)
     chosen = parser.parse_args(arguments)
     if chosen.heights:
-        study = ThesisStudy(
-            chosen.method,
-            chosen.fingers,
-            material="skin" if chosen.method == "metric" else "opaque",
-        )
-        sweep = Sweep(
-            "own", study, grid(chosen.heights, chosen.radii, chosen.powers, (None,), (PX_PER_MM,))
-        )
+        axes = (chosen.heights, chosen.radii, chosen.powers)
+        material = "skin" if chosen.method == "metric" else "opaque"
+        sweep = _sweep("own", chosen.fingers, *axes, method=chosen.method, material=material)
         folder = chosen.scratch / f"own_{chosen.method}_{chosen.fingers}"
         print("\n".join(table("own", measured(sweep, folder, chosen.workers))))
         return 0
@@ -300,7 +281,6 @@ def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
             "status": record["status"],
             "reason": record["reason"],
         }
-        row["broken"] = [name for name, reason in record["constraints"].items() if reason]
         if record["mean"] is not None:
             row |= {key: round(value, 5) for key, value in record["mean"].items()}
             row["compared"] = {
