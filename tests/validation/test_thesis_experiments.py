@@ -175,7 +175,7 @@ def test_all_parts_on_a_made_up_store(
     )
     assert float(two["eer"]) < 0
     runs = json.loads((out / "runs.json").read_text())
-    assert runs["cases"]["missing"] == ["none by thesis"]
+    assert runs["cases"]["thesis"]["missing"] == ["none by thesis"]
     assert runs["failures"]["failures"] == {"snk": 1, "pr": 1, "ea": 1}
     # genuine pairs of the made-up store overlap by 0.95
     kept = {"fingers": 10, "fingers_refused": 0, "pairs": 30, "pairs_refused": 0}
