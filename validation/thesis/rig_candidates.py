@@ -58,11 +58,6 @@ class RigCandidate:
             f"h{self.height_mm:g}_r{self.radius_mm:g}_p{self.power_w:g}_t{tilt}_s{self.px_per_mm:g}"
         )
 
-    @property
-    def volume_l(self) -> float:
-        """Size of the box: litres of the cylinder that holds LEDs and camera."""
-        return float(np.pi * self.radius_mm**2 * self.height_mm * 1e-6)
-
 
 @dataclass(frozen=True, slots=True)
 class BuildSettings:

@@ -152,10 +152,7 @@ def table(name: str, result: Mapping[str, Any]) -> list[str]:
             f"{name}: {result['method']}, {result['material']}, {result['camera']},"
             f" {result['fingers']} fingers"
         ),
-        (
-            "height radius power  tilt px/mm  Hausdorff (x: on the Pareto front; =: as good as the"
-            " best)   whole  ridges"
-        ),
+        ("height radius power  tilt px/mm  Hausdorff (=: as good as the best)   whole  ridges"),
     ]
     rows = [row for row in result["rows"] if row["status"] == "done"]
     for row in sorted(rows, key=lambda row: row["hausdorff_mm"]):
@@ -165,7 +162,7 @@ def table(name: str, result: Mapping[str, Any]) -> list[str]:
             if its["low"] is None
             else f" ({its['low']:.3f} to {its['high']:.3f}), {its['worse_by']:+.3f} mm"
         )
-        marks = " x" * (row["name"] in result["pareto"]) + " =" * its["as_good"]
+        marks = " =" * its["as_good"]
         tilt = "centre" if row["tilt_deg"] is None else f"{row['tilt_deg']:g}"
         lines.append(
             f"{row['height_mm']:6g} {row['radius_mm']:6g} {row['power_w']:5g} {tilt:>6}"
@@ -193,41 +190,6 @@ def sweep_rigs(
     return [json.loads(file.read_text(encoding="ascii")) for file in files.values()]
 
 
-def summarise(records: Sequence[Mapping[str, Any]], figure: str) -> dict[str, Any]:
-    """The ``best`` rig by a figure, which is minimised; how all are ``compared`` with it, by name;
-    the ``pareto`` front of the figure, the LEDs' power and the size of the box.
-    """
-    done = [record for record in records if record["status"] == "done"]
-    if not done:
-        sys.exit(
-            f"not one of the {len(records)} rigs can be built and measured: {records[0]['reason']}"
-        )
-    compared = _compare_with_best(done, figure)
-    rigs = [
-        RigCandidate(**{k: v for k, v in record["candidate"].items() if k != "name"})
-        for record in done
-    ]
-    costs = [
-        [record["mean"][figure], rig.power_w, rig.volume_l]
-        for record, rig in zip(done, rigs, strict=True)
-    ]
-    front = zip(rigs, _pareto_front(np.array(costs)), strict=True)
-    best = next(name for name, row in compared.items() if row["best"])
-    return {
-        "best": best,
-        "compared": compared,
-        "pareto": [rig.name for rig, is_on in front if is_on],
-    }
-
-
-def _pareto_front(costs: np.ndarray) -> np.ndarray:
-    """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller
-    somewhere."""
-    return np.array(
-        [not ((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any() for row in costs]
-    )
-
-
 def _mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
     """Mean of `values` and Student's interval about it; one value alone has no interval: (value,
     -inf, inf)."""
@@ -240,15 +202,20 @@ def _mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _compare_with_best(records: Sequence[dict[str, Any]], figure: str) -> dict[str, dict[str, Any]]:
-    """How much worse than the best every candidate is, finger by finger, by name: ``value`` and
-    ``low``, ``high`` (95 % interval of the mean over the fingers; None for one finger),
-    ``worse_by`` and ``worse_low``, ``worse_high`` (of the paired difference), and ``as_good``: that
-    interval holds zero.
+    """How much worse than the best every measured candidate is, finger by finger, by name, for a
+    figure that is minimised: ``value`` and ``low``, ``high`` (95 % interval of the mean over the
+    fingers; None for one finger), ``worse_by`` and ``worse_low``, ``worse_high`` (of the paired
+    difference), and ``as_good``: that interval holds zero.
     """
     values = {
         record["candidate"]["name"]: np.array([f[figure] for f in record["fingers"]])
         for record in records
+        if record["status"] == "done"
     }
+    if not values:
+        sys.exit(
+            f"not one of the {len(records)} rigs can be built and measured: {records[0]['reason']}"
+        )
     best = min(values, key=lambda name: (float(values[name].mean()), name))
     compared: dict[str, dict[str, Any]] = {}
     for name, own in values.items():
@@ -270,7 +237,7 @@ def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
     """Sweep, and what the tables follow from."""
     records = sweep_rigs(out, asked.candidates, asked.study, workers)
     summaries = {
-        objective: summarise(records, f"{objective}_mm")
+        objective: _compare_with_best(records, f"{objective}_mm")
         for objective in ("hausdorff", "whole", "rms")
     }
     rows = []
@@ -284,7 +251,7 @@ def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
         if record["mean"] is not None:
             row |= {key: round(value, 5) for key, value in record["mean"].items()}
             row["compared"] = {
-                objective: [_short(its["compared"][row["name"]][key]) for key in COMPARED]
+                objective: [_short(its[row["name"]][key]) for key in COMPARED]
                 for objective, its in summaries.items()
             }
         rows.append(row)
@@ -295,12 +262,14 @@ def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
         "camera": study.camera,
         "fingers": study.fingers,
     }
-    best = {objective: its["best"] for objective, its in summaries.items()}
+    best = {
+        objective: next(name for name, row in its.items() if row["best"])
+        for objective, its in summaries.items()
+    }
     return {
         "asks": asked.asks,
         **asks,
         "best": best,
-        "pareto": summaries["hausdorff"]["pareto"],
         "rows": rows,
     }
 
