@@ -2,7 +2,7 @@
 his beside ours.
 
     python validation/thesis/reproduce.py --out DIR  # as the thesis: 17 people, ten fingers
-    python validation/thesis/reproduce.py --out DIR --people 3      # fifteen minutes of two cores
+    python validation/thesis/reproduce.py --out DIR --people 3 --sessions 2  # 7 minutes of 2 cores
     python validation/thesis/reproduce.py --out DIR --figures 5.4,5.5     # what these figures need
     python validation/thesis/reproduce.py --out DIR --scheduler tls://HOST:8786  # on a cluster
 
