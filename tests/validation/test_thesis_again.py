@@ -202,7 +202,7 @@ def test_the_packed_scores_of_the_small_benchmark_give_the_rates_of_its_card(
     with tarfile.open(THESIS / "tables" / "benchmark_small_scores.tar.xz") as archive:
         archive.extractall(tmp_path, filter="data")
     options = f"cases --population {tmp_path}/people --store {tmp_path}/store --cases snk ea"
-    assert run.main(f"{options} --out {tmp_path} --replicates 10 --jobs 1".split()) == 0
+    assert run.main(f"{options} --out {tmp_path} --replicates 20 --jobs 1".split()) == 0
     rates = {
         row["case"]: float(row["gar@0.01"])
         for row in report.read(tmp_path / "cases.csv")
