@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import subprocess
 import sys
+import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -47,11 +49,12 @@ def test_figures_with_commands_of_their_own_and_every_claim_stand_on_the_page(
     reproduce("--out", tmp_path, "--figures", "3.17,4.1")
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert "python validation/separation/checkerboard.py" in page
-    assert "14 and 5.25 cm are the best rig" in page and "Figure 5.4" not in page
+    assert "A height of 14 and a radius of 5.25 cm are best" in page and "Figure 5.4" not in page
     figures, known = (
         thesis("reproduce").chosen_figures(None),
         thesis("report").read(THESIS / "tables" / "claims.csv"),
     )
+    assert len(figures) == 25 and all(figure.thesis and figure.pictures for figure in figures)
     numbers = {row["number"].rstrip("abcdef") for row in known}
     assert {claim for figure in figures for claim in figure.claims} <= numbers
     with pytest.raises(SystemExit, match=r"no figure 9\.9"):
@@ -77,7 +80,7 @@ def test_a_figure_is_made_beside_the_thesis_and_a_second_run_has_nothing_to_do(
     )
     reproduce("--out", tmp_path, *small)
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
-    assert "92, 90, 86 % at FAR 1 %" in page and 'src="figure-5-4.svg"' in page
+    assert "SnK 92, PR 90 and EA 86 % at FAR 1 %" in page and 'src="figure-5-4.svg"' in page
     assert (tmp_path / "figure-5-4.svg").read_text(encoding="utf-8").startswith("<")
     assert "is finished" in reproduce("--out", tmp_path, *small)
 
@@ -85,13 +88,19 @@ def test_a_figure_is_made_beside_the_thesis_and_a_second_run_has_nothing_to_do(
 def test_the_claims_of_the_committed_tables_are_those_of_the_page(thesis: Script) -> None:
     claims, report = thesis("claims"), thesis("report")
     names = {part[1] for parts in claims.CLAIMS.values() for part in parts}
-    known = report.read(claims.KNOWN)
-    lines = claims.table({name: report.read(THESIS / f"{name}.csv") for name in names}, known)
-    assert "not measured" not in lines
-    first = next(line for line in lines.splitlines() if line.startswith("| 1 |"))
-    page, here = first.split(" | ")[2:4]
-    assert here == f"snk {page}"
-    assert re.search(r"not measured", claims.table({name: [] for name in names}, known)) is not None
+    tables = {name: report.read(THESIS / f"{name}.csv") for name in names}
+    judged = {name: {} if name == "figures" else claims.AVERAGED for name in names}
+    cells = {
+        number: [
+            claims.cell(tables[name], wanted | judged[name], figure)
+            for _, name, wanted, figure in parts
+        ]
+        for number, parts in claims.CLAIMS.items()
+    }
+    assert not any("not measured" in each for each in cells.values())
+    known = report.read(THESIS / "tables" / "claims.csv")
+    assert cells[1] == [row["measured"] for row in known if row["number"] == "1"]
+    assert claims.cell([], {}, "gar@0.01") == "not measured"
 
 
 def test_figure_5_6_has_the_thesis_s_bars_beside_ours(thesis: Script) -> None:
@@ -147,3 +156,70 @@ def test_a_smaller_run_plans_anew_and_committed_tables_stand_on_the_page(
     figures = again.chosen_figures("1.3,3.8,3.17,3.21,3.26,4.1,5.1,5.7")
     page = again.page_of(tmp_path, figures, again.ONE_FINGER)
     assert page.count("<p>validation/") == len(figures) + 1 and "Laser line" in page
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_the_benchmark_is_made_compared_with_the_frozen_one_and_packed(
+    tmp_path: Path, thesis: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    benchmark, run = thesis("benchmark"), thesis("run")
+    monkeypatch.setattr(benchmark, "POPULATION", "simulate population --seed 4171 --scale 0.1")
+    monkeypatch.setattr(
+        benchmark,
+        "SIZES",
+        {"small": "--subjects 3 --sessions 2 --fingers right_index"},
+    )
+    systems = "batch --cases metric,ea --matchers thesis,ridge --impostors 1"
+    monkeypatch.setattr(benchmark, "SYSTEMS", systems)
+    out = tmp_path / "bench"
+    assert benchmark.main(["--out", str(out)]) == 1, "another scale: other photographs"
+    monkeypatch.setattr(benchmark, "FACTS", tmp_path / "facts.csv")
+    assert benchmark.main(["--out", str(out), "--freeze"]) == 0
+    with (out / "pairs.csv").open(encoding="utf-8") as stream:
+        pairs = list(csv.DictReader(stream))
+    assert [row["label"] for row in pairs].count("1") == 3 and len(pairs) == 9
+    assert {row["score"] for row in pairs} == {""}
+    for row in pairs:
+        assert (out / "prints" / f"{row['a'].replace('/', '_')}.png").is_file()
+    with tarfile.open(out / "scores.tar.xz") as archive:
+        archive.extractall(tmp_path, filter="data")
+    people, store = tmp_path / "people", tmp_path / "store"
+    options = f"cases --population {people} --store {store} --cases metric ea --out {tmp_path}"
+    assert run.main([*options.split(), "--replicates", "20", "--jobs", "1"]) == 0
+    packed = (tmp_path / "cases.csv").read_text(encoding="utf-8")
+    options = options.replace(str(people), str(out / "people")).replace(
+        str(store), str(out / "store")
+    )
+    assert run.main([*options.split(), "--replicates", "20", "--jobs", "1"]) == 0
+    assert (tmp_path / "cases.csv").read_text(encoding="utf-8") == packed
+
+
+def test_the_packed_scores_of_the_small_benchmark_give_the_rates_of_its_card(
+    tmp_path: Path, thesis: Script
+) -> None:
+    run, report = thesis("run"), thesis("report")
+    with tarfile.open(THESIS / "tables" / "benchmark_small_scores.tar.xz") as archive:
+        archive.extractall(tmp_path, filter="data")
+    options = f"cases --population {tmp_path}/people --store {tmp_path}/store --cases snk ea"
+    assert run.main(f"{options} --out {tmp_path} --replicates 20 --jobs 1".split()) == 0
+    rates = {
+        row["case"]: float(row["gar@0.01"])
+        for row in report.read(tmp_path / "cases.csv")
+        if (row["attribute"], row["gate"], row["sessions"], row["kept"])
+        == ("relief", "none", "single", "all")
+    }
+    card = (THESIS / "BENCHMARK.md").read_text(encoding="utf-8")
+    assert f"| SnK's ridges, thesis's matcher | {100 * rates['snk']:.1f} [" in card
+    assert f"| EA's whole height, thesis's matcher | {100 * rates['ea']:.1f} [" in card
+
+
+def test_a_capture_differs_from_the_frozen_one_beyond_a_thousandth(thesis: Script) -> None:
+    benchmark = thesis("benchmark")
+    row = {"capture": "S01/session_1/right_index", "rig": "a", "height_mm": 5.0}
+    row |= {"height_sd_mm": 2.0, "white": 30000.0, "nir": 20000.0}
+    known = {row["capture"]: {name: str(value) for name, value in row.items()}}
+    assert benchmark.differing_from(known, [row, row | {"capture": "unknown"}]) == []
+    assert benchmark.differing_from(known, [row | {"white": 30020.0}]) == []
+    for change in ({"white": 30040.0}, {"height_mm": 4.9}, {"rig": "b"}):
+        assert benchmark.differing_from(known, [row | change]) == [row["capture"]], change

@@ -175,7 +175,7 @@ def test_all_parts_on_a_made_up_store(
     )
     assert float(two["eer"]) < 0
     runs = json.loads((out / "runs.json").read_text())
-    assert runs["cases"]["missing"] == ["none by thesis"]
+    assert runs["cases"]["thesis"]["missing"] == ["none by thesis"]
     assert runs["failures"]["failures"] == {"snk": 1, "pr": 1, "ea": 1}
     # genuine pairs of the made-up store overlap by 0.95
     kept = {"fingers": 10, "fingers_refused": 0, "pairs": 30, "pairs_refused": 0}
@@ -190,15 +190,8 @@ def test_all_parts_on_a_made_up_store(
     thesis("report").write(out, out / "page.md")
     filled = (out / "page.md").read_text()
     assert "|5.4|normals, SnK|1 %|92|" in filled and "too few impostors (270)" in filled
-    first, *cases = (out / "tables" / "ridge_margin.csv").read_text().splitlines()
-    assert first.startswith("case,least genuine") and [row.split(",")[0] for row in cases] == [
-        "snk",
-        "pr",
-        "ea",
-    ]
-    assert not [
-        name for name in ("family", "failures") if (out / "tables" / f"{name}.csv").exists()
-    ], "not measured"
+    assert (out / "tables" / "ridge.csv").is_file()
+    assert not (out / "tables" / "family.csv").exists(), "not measured"
     assert (out / "figure-5-4.svg").read_bytes().startswith(b"<?xml")
 
 
@@ -321,23 +314,6 @@ def test_the_page_marks_what_too_few_impostors_cannot_support(thesis: Script) ->
     assert report.gar_cell(row | {"accepts@0.01": "10"}, "0.01") == "90.0 [80.0, 95.0]"
     few = report.gar_cell({"gar@0.0001": "", "accepts@0.0001": "0", "impostors": "2700"}, "0.0001")
     assert few == "too few impostors (2,700)"
-
-
-def test_an_order_says_which_differences_are_beyond_chance(thesis: Script) -> None:
-    order = thesis("page_tables").order
-    rows = [
-        {"case": case, "gar@0.01": value, "accepts@0.01": "50"}
-        for case, value in (("ea", "0.8"), ("snk", "0.9"))
-    ]
-    far = {
-        "first": "snk",
-        "second": "ea",
-        "gar@0.01_low_finger": "0.02",
-        "gar@0.01_high_finger": "0.2",
-    }
-    assert order(rows, [far], "gar@0.01", 100, "accepts@0.01") == "snk 90.0 > ea 80.0"
-    by_subject = far | {"gar@0.01_low_subject": "-0.01", "gar@0.01_high_subject": "0.3"}
-    assert order(rows, [by_subject], "gar@0.01", 100, "accepts@0.01") == "snk 90.0 ~ ea 80.0"
 
 
 def handmade(seed: int, session: int) -> Any:

@@ -1,21 +1,12 @@
-"""The claims of ``docs/experiments/claims.md`` that the tables of a folder can answer, beside what
-that page has.
-
-python validation/thesis/claims.py FOLDER      # of run.py's tables; reproduce.py makes them
-"""
+"""The claims of ``docs/experiments/claims.md`` that the tables of a run can answer: reproduce.py
+shows them beside what that page has."""
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
-from report import read
 from tables import Row
 
-KNOWN = Path(__file__).with_name("tables") / "claims.csv"
-"""Every claim, its criteria, and what was measured: the page is made of it."""
 AVERAGED = {"gate": "gate", "sessions": "averaged", "kept": "whole"}
 SINGLE = {"gate": "none", "sessions": "single", "kept": "whole"}
 Part = tuple[str, str, Mapping[str, str], str]
@@ -69,43 +60,6 @@ CLAIMS: Mapping[int, Sequence[Part]] = {
 }
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path)
-    folder = parser.parse_args().folder
-    names = sorted({part[1] for parts in CLAIMS.values() for part in parts})
-    print(table({name: read(folder / f"{name}.csv") for name in names}, read(KNOWN)))
-    return 0
-
-
-def table(tables: Mapping[str, Sequence[Row]], known: Sequence[Row]) -> str:
-    """Markdown: each claim, what the page has, and what these tables have in both ways of
-    judging."""
-    lines = [
-        "| # | claim | the page | here, gate and averages | here, single comparisons |",
-        "| --- " * 5 + "|",
-    ]
-    for number, parts in CLAIMS.items():
-        rows = [row for row in known if row["number"].rstrip("abcdef") == str(number)]
-        claim, measured = (
-            rows[0]["claim"],
-            "; ".join(dict.fromkeys(row["measured"] for row in rows)),
-        )
-        columns = [
-            "; ".join(
-                f"{words}"
-                f" {cell(tables[name], wanted | (judged if name != 'figures' else {}), figure)}"
-                for words, name, wanted, figure in parts
-                if name != "figures" or judged is AVERAGED
-            )
-            for judged in (AVERAGED, SINGLE)
-        ]
-        lines.append(f"| {number} | {claim} | {measured} | {columns[0]} | {columns[1]} |")
-    return "\n".join(lines)
-
-
 def cell(rows: Sequence[Row], wanted: Mapping[str, str], figure: str) -> str:
     """The value, drawn by finger in square brackets and by subject in round ones; or why there is
     none."""
@@ -131,7 +85,3 @@ def cell(rows: Sequence[Row], wanted: Mapping[str, str], figure: str) -> str:
 
 def _digits(value: str, rate: bool) -> str:
     return f"{100.0 * float(value):.1f}" if rate else f"{float(value):.3g}"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

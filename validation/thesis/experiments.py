@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,6 @@ from tables import Row, write_csv
 
 COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""
-FAMILY_CASES = ("kumar", "zheng", "lin")
-FAMILY_MATCHERS = ("ridge", "minutiae")
 FUSION_VARIANTS = (*COMPARED, Variant("none", "averaged", "all"))
 
 PUBLISHED = {
@@ -123,86 +122,74 @@ def _against(first: str, case: str, trials: Sequence[Trial]) -> list[tuple[Trial
     return [(named[first], named[name]) for name in named if first in named and name != first]
 
 
-def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """Figures 5.4 and 5.5: cases on normals and on relief, by the thesis's matcher."""
-    captures = read_captures(store, options.cases)
-    table = read_table(store, captures, options.cases, ("thesis",))
-    work = _work(options, table, truth)
-    by_attribute = {name: _of(table, "thesis", name) for name in ("normals", "relief")}
-    trials = [trial for group in by_attribute.values() for trial in group]
-    rows = rate_rows(work, trials, options.jobs)
-    differences = difference_rows(work, by_attribute.values(), COMPARED, options.jobs)
-    _write(options, "cases", rows, differences)
-    for figure, name in (("figure-5-4", "normals"), ("figure-5-5", "relief")):
-        _rocs(options, work, figure, by_attribute[name], lambda trial: trial.case)
-    return _facts(table, trials)
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A part that compares cases, matcher by matcher."""
+
+    systems: Mapping[str, Mapping[str, str]]
+    """By matcher, its attributes with the figure of each; no figure where that is empty."""
+    cases: tuple[str, ...] = ()
+    """Cases beside those of the options."""
+    variants: Sequence[Variant] = VARIANTS
+    compared: Sequence[Variant] = COMPARED
+    with_ea: bool = False
+    """Differences from the first of :data:`BASES` alone, instead of all with each other."""
 
 
-def run_matchers(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """The same cases by the ridge matcher and by minutiae."""
-    captures = read_captures(store, options.cases)
-    facts: Row = {}
-    rows, differences = [], []
-    for matcher in ("ridge", "minutiae"):
-        try:
-            table = read_table(store, captures, options.cases, (matcher,))
-        except SystemExit as nothing:
-            facts[matcher] = {"missing": [str(nothing)]}
-            continue
-        work = _work(options, table, truth)
-        trials = _of(table, matcher, "")
-        rows += rate_rows(work, trials, options.jobs)
-        differences += difference_rows(work, [trials], COMPARED, options.jobs)
-        _rocs(options, work, matcher, trials, lambda trial: trial.case)
-        facts[matcher] = _facts(table, trials)
-    if rows:
-        _write(options, "matchers", rows, differences)
-    return facts
+BASES = ("ea", "ea-split")
 
 
-def run_family(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """The systems that SnK is measured against, by the established matchers."""
-    cases = list(dict.fromkeys([*options.cases, *FAMILY_CASES]))
-    return _by_matchers(options, store, truth, "family", cases, dict.fromkeys(FAMILY_MATCHERS, ""))
+OF_CASES: Mapping[str, Compared] = {
+    "cases": Compared({"thesis": {"normals": "figure-5-4", "relief": "figure-5-5"}}),
+    "matchers": Compared({"ridge": {"": "ridge"}, "minutiae": {"": "minutiae"}}),
+    "family": Compared(
+        {"ridge": {"": ""}, "minutiae": {"": ""}},
+        cases=("kumar", "zheng", "lin"),
+        variants=(PLAIN, WHOLE),
+        compared=(WHOLE,),
+        with_ea=True,
+    ),
+    "people": Compared(
+        {"ridge": {"": ""}, "minutiae": {"": ""}, "thesis": {"relief": ""}},
+        variants=(PLAIN, WHOLE),
+        compared=(WHOLE,),
+        with_ea=True,
+    ),
+}
+"""Figures 5.4 and 5.5; the same by matchers of today; systems that SnK is measured against; one
+finger each of many people."""
 
 
-def run_people(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """One finger each of many people, by the present matchers and the thesis's."""
-    matchers = {"ridge": "", "minutiae": "", "thesis": "relief"}
-    return _by_matchers(options, store, truth, "people", options.cases, matchers)
-
-
-def _by_matchers(  # noqa: PLR0917
-    options: argparse.Namespace,
-    store: Any,
-    truth: Mapping[str, Row],
-    part: str,
-    cases: Sequence[str],
-    matchers: Mapping[str, str],
+def run_compared(
+    part: str, options: argparse.Namespace, store: Any, truth: Mapping[str, Row]
 ) -> Row:
-    """Rates of `cases` by `matchers` (with the attribute), and their differences from ``ea`` or
-    ``ea-split``."""
+    """A part of :data:`OF_CASES`."""
+    asked = OF_CASES[part]
+    cases = tuple(dict.fromkeys([*options.cases, *asked.cases]))
     captures = read_captures(store, cases)
     facts: Row = {}
     rows, differences = [], []
-    for matcher, attribute in matchers.items():
+    for matcher, attributes in asked.systems.items():
         try:
             table = read_table(store, captures, cases, (matcher,))
         except SystemExit as nothing:
             facts[matcher] = {"missing": [str(nothing)]}
             continue
         work = _work(options, table, truth)
-        trials = [
-            trial.labelled(f"{trial.case}, {matcher}") for trial in _of(table, matcher, attribute)
-        ]
-        rows += rate_rows(work, trials, options.jobs, (PLAIN, WHOLE))
-        base = next(
-            (trial for name in ("ea", "ea-split") for trial in trials if trial.case == name), None
-        )
-        groups = [(trial, base) for trial in trials if base is not None and trial is not base]
-        differences += difference_rows(work, groups, (WHOLE,), options.jobs)
-        facts[matcher] = _facts(table, trials)
-    _write(options, part, rows, differences)
+        for attribute, figure in attributes.items():
+            trials = _of(table, matcher, attribute)
+            groups = [trials]
+            if asked.with_ea:
+                trials = [trial.labelled(f"{trial.case}, {matcher}") for trial in trials]
+                base = [trial for name in BASES for trial in trials if trial.case == name][:1]
+                groups = [[trial, *base] for trial in trials if trial not in base]
+            rows += rate_rows(work, trials, options.jobs, asked.variants)
+            differences += difference_rows(work, groups, asked.compared, options.jobs)
+            if figure:
+                _rocs(options, work, figure, trials, lambda trial: trial.case)
+        facts[matcher] = _facts(table, table.trials)
+    if rows:
+        _write(options, part, rows, differences)
     return facts
 
 
@@ -405,13 +392,10 @@ WITHOUT_STORE = {
 }
 PART_OF = {
     "fusion": run_fusion,
-    "cases": run_cases,
-    "matchers": run_matchers,
     "sensitivity": run_sensitivity,
     "failures": run_failures,
     "normals": run_normals,
-    "family": run_family,
-    "people": run_people,
+    **{name: partial(run_compared, name) for name in OF_CASES},
 }
 
 

@@ -28,7 +28,6 @@ import numpy as np
 import scipy.fft
 from compared import each, keep
 from numpy.typing import NDArray
-from oblique import oblique_view
 from plots import bars_figure, lines_figure, save
 from scales import SCALES
 
@@ -40,7 +39,7 @@ from splitknit.io.pictures import upright_frame
 from splitknit.observation.observe import observe
 from splitknit.pipeline import located, reconstruct
 from splitknit.reconstruction import Reconstruction
-from splitknit.report.figures import small_fields
+from splitknit.report.figures import small_fields, view_from_above
 from tables import Row, write_csv
 
 CASES = ("snk", "pr", "ea")
@@ -63,7 +62,8 @@ DIFFERENCES = (
 PROFILE_STEP_MM = 0.05
 RESAMPLES = 1000
 
-Values = NDArray[np.float64]
+Values = NDArray[Any]
+Results = Mapping[str, Reconstruction]
 
 
 def run(  # noqa: PLR0917
@@ -79,8 +79,10 @@ def run(  # noqa: PLR0917
         _draw(known, out)
         first_name = next(name for name, row in zip(chosen, records, strict=True) if row)
         capture = read_capture(population / first_name)
-        write_image(out / "figure-5-9-surfaces.png", surfaces(capture))
-        write_image(out / "figure-3-22-shapes.png", shapes(capture))
+        finger, truth = located(capture, "snk"), read_truth(capture)
+        results = {case: reconstruct(finger, case) for case in CASES}
+        write_image(out / "figure-5-9-surfaces.png", surfaces(results, truth["height_mm"]))
+        write_image(out / "figure-3-22-shapes.png", shapes(results, truth["shape_mm"]))
     if (out / "cases.csv").is_file():
         with (out / "cases.csv").open(encoding="utf-8", newline="") as stream:
             save(bars_figure(accuracies(list(csv.DictReader(stream)))), out / "figure-5-6.svg")
@@ -222,8 +224,8 @@ def _power(field: Values, mask: NDArray[np.bool_], pitch_mm: float) -> list[floa
 def _profiles(
     results: Mapping[str, Reconstruction], truth: Mapping[str, NDArray[Any]]
 ) -> dict[str, list[float]]:
-    """Heights along the finger's middle in mm, freed from their mean: the side view of figure
-    5.9."""
+    """Heights along the finger's middle in mm, freed from their mean: the side views of figures
+    5.9 and 3.22."""
     mask = results["snk"].mask
     column = int(np.median(np.nonzero(mask)[1]))
     along = np.flatnonzero(mask[:, column] & np.isfinite(truth["height_mm"][:, column]))
@@ -231,6 +233,8 @@ def _profiles(
     heights = {
         "truth": truth["height_mm"],
         **{case: result.height_mm for case, result in results.items()},
+        "true shape": truth["shape_mm"],
+        "NIR": results["snk"].shape_mm,
     }
     fields = {
         name: np.asarray(field[along, column], dtype=np.float64) for name, field in heights.items()
@@ -280,44 +284,44 @@ def _above(power: Values) -> float:
 
 
 def _draw(records: Sequence[Row], out: Path) -> None:
+    """Figures 3.1, 3.20, 3.22 and 5.9 as curves, and the spectra as a table."""
     spectra = {
         name: np.mean([row["spectra"][name] for row in records], axis=0)
         for name in records[0]["spectra"]
     }
-    write_csv(
-        out / "figure_spectra.csv",
-        [
-            {
-                "cycles_per_cm": float(f),
-                **{name: float(power[k]) for name, power in spectra.items()},
-            }
-            for k, f in enumerate(FREQUENCIES)
-        ],
-    )
-    powers = [(name, FREQUENCIES, np.maximum(power, 1e-7)) for name, power in spectra.items()]
-    logarithmic = {"xscale": "log", "yscale": "log", "title": "Power by spatial frequency"}
-    save(lines_figure(powers, "cycles per cm", "power", **logarithmic), out / "figure-3-1.svg")
-    curves = []
-    for words in ("ridge correlation", "power beside the ridges, %"):
-        factor = 0.01 if words.endswith("%") else 1.0
-        values = [
-            factor * np.mean([row[f"3.20 n = {count} {words}"] for row in records])
+    columns = {"cycles_per_cm": FREQUENCIES, **spectra}
+    bins = np.stack(list(columns.values()), axis=1).tolist()
+    rows = [dict(zip(columns, values, strict=True)) for values in bins]
+    write_csv(out / "figure_spectra.csv", rows)
+    scales = {
+        words: [
+            factor * np.mean([row[f"3.20 n = {count} {key}"] for row in records])
             for count in SCALES
         ]
-        curves.append((words.removesuffix(", %"), SCALES, values))
-    titled = {
-        "title": "Ridges and what else is in the relief, by scales of shapelets",
-        "ylim": (0, 1),
+        for words, key, factor in (
+            ("ridge correlation", "ridge correlation", 1.0),
+            ("power beside the ridges", "power beside the ridges, %", 0.01),
+        )
     }
-    save(
-        lines_figure(curves, "scales of shapelets", "fraction, correlation", **titled),
-        out / "figure-3-20.svg",
-    )
-    profile = dict(records[0]["profiles"])
-    x = profile.pop("mm")
-    sides = [(name, x, np.array(values, dtype=np.float64)) for name, values in profile.items()]
-    titled = {"title": "Side view along the middle of one finger"}
-    save(lines_figure(sides, "mm along the finger", "height, mm", **titled), out / "figure-5-9.svg")
+    profiles = records[0]["profiles"]
+    sides = {
+        "3-22": {"true shape": "true shape", "NIR": "NIR", "white": "ea", "enhanced": "pr"},
+        "5-9": {name: name for name in ("truth", *CASES)},
+    }
+    logarithmic = {"xscale": "log", "yscale": "log", "ylim": (1e-7, 2.0)}
+    logarithmic |= {"title": "Power by spatial frequency"}
+    ridges = {"title": "Ridges and what else is in the relief", "ylim": (0, 1)}
+    along = {"title": "Side view along the middle of one finger"}
+    drawn = {
+        "3-1": (spectra, FREQUENCIES, "cycles per cm", "power", logarithmic),
+        "3-20": (scales, SCALES, "scales of shapelets", "fraction, correlation", ridges),
+    }
+    for figure, names in sides.items():
+        heights = {name: profiles[key] for name, key in names.items()}
+        drawn[figure] = (heights, profiles["mm"], "mm along the finger", "height, mm", along)
+    for figure, (curves, x, x_label, y_label, axes) in drawn.items():
+        lines = [(name, x, np.asarray(values, np.float64)) for name, values in curves.items()]
+        save(lines_figure(lines, x_label, y_label, **axes), out / f"figure-{figure}.svg")
 
 
 OF_5_6 = (
@@ -356,56 +360,38 @@ PATCH_MM = 5.0
 PATCH_PX = 220
 
 
-def surfaces(capture: Capture) -> NDArray[np.uint8]:
-    """Figure 5.9 of one finger: truth, SnK, PR and EA from the front and the side, and below zoomed
-    ridges of each."""
-    results, heights = _of_cases(capture)
-    ridges = {**heights, "snk": results["snk"].ridge_mm}
-    return _side_by_side(results["snk"], heights, ridges)
+def surfaces(results: Results, true: Values) -> NDArray[np.uint8]:
+    """Figure 5.9 of one finger: truth, SnK, PR and EA from the front, and below zoomed ridges of
+    each."""
+    heights = {"truth": true, **{case: result.height_mm for case, result in results.items()}}
+    return _side_by_side(results["snk"], heights, {**heights, "snk": results["snk"].ridge_mm})
 
 
-def shapes(capture: Capture) -> NDArray[np.uint8]:
-    """Figure 3.22 of one finger: its true shape, and that by NIR, white and enhanced white light,
-    front and side."""
-    results, heights = _of_cases(capture)
-    truth = np.asarray(read_truth(capture)["shape_mm"])
+def shapes(results: Results, true: Values) -> NDArray[np.uint8]:
+    """Figure 3.22 of one finger: its true shape, and that by NIR, white and enhanced white
+    light."""
     first = results["snk"]
-    return _side_by_side(
-        # which the shading would darken valleys by
-        replace(first, ridge_mm=np.zeros_like(first.ridge_mm)),
-        {"truth": truth, "NIR": first.shape_mm, "white": heights["ea"], "enhanced": heights["pr"]},
-    )
-
-
-def _of_cases(capture: Capture) -> tuple[dict[str, Reconstruction], dict[str, NDArray[Any]]]:
-    finger = located(capture, "snk")
-    results = {case: reconstruct(finger, case) for case in CASES}
-    true = np.asarray(read_truth(capture)["height_mm"])
-    return results, {"truth": true, **{case: result.height_mm for case, result in results.items()}}
+    # ridges, which the shading would darken valleys by, are none of the shape
+    smooth = replace(first, ridge_mm=np.zeros_like(first.ridge_mm))
+    heights = {"white": results["ea"].height_mm, "enhanced": results["pr"].height_mm}
+    return _side_by_side(smooth, {"truth": true, "NIR": first.shape_mm, **heights}, {})
 
 
 def _side_by_side(
-    first: Reconstruction,
-    heights: Mapping[str, NDArray[Any]],
-    ridges: Mapping[str, NDArray[Any]] | None = None,
+    first: Reconstruction, heights: Mapping[str, Values], ridges: Mapping[str, Values]
 ) -> NDArray[np.uint8]:
-    """Each surface from the front and the side, with zoomed ridges below where they are given."""
+    """Each surface from the front, with zoomed ridges below where they are given."""
     columns = []
     for name, height in heights.items():
-        whole = np.where(first.mask & np.isfinite(height), height, np.float32(np.nan)).astype(
-            np.float32
-        )
-        first_whole = replace(first, height_mm=whole, mask=first.mask & np.isfinite(whole))
-        small = small_fields(first_whole, upright_frame(first_whole, 700))
-        views = [
-            oblique_view(small, tilt_deg=0.0),
-            oblique_view(small, turn_deg=90.0, tilt_deg=80.0),
-        ]
-        column = [
-            _fitted(view, size) for view, size in zip(views, ((320, 220), (150, 220)), strict=True)
-        ]
-        column += [] if ridges is None else [_patch(ridges[name], first)]
-        columns.append(_labelled(np.vstack(column), name))
+        whole = np.where(first.mask, height, np.nan).astype(np.float32)
+        surface = replace(first, height_mm=whole, mask=np.isfinite(whole))
+        view = view_from_above(small_fields(surface, upright_frame(surface, PATCH_PX)))
+        column = np.full((PATCH_PX, PATCH_PX, 3), 247, np.uint8)
+        left = (PATCH_PX - view.shape[1]) // 2
+        column[: view.shape[0], left : left + view.shape[1]] = view
+        if ridges:
+            column = np.vstack([column, _patch(ridges[name], first)])
+        columns.append(_labelled(column, name))
     return np.asarray(np.hstack(columns) & 0xF8)  # 32 shades: a quarter of the bytes
 
 
@@ -426,15 +412,6 @@ def _patch(height_mm: NDArray[Any], result: Reconstruction) -> NDArray[np.uint8]
     return np.repeat(
         cv2.resize(shade, (PATCH_PX, PATCH_PX), interpolation=cv2.INTER_CUBIC)[..., None], 3, axis=2
     )
-
-
-def _fitted(view: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """A picture in a white box of rows and columns."""
-    scale = min(size[0] / view.shape[0], size[1] / view.shape[1])
-    small = cv2.resize(view, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    rows, columns = size[0] - small.shape[0], size[1] - small.shape[1]
-    sides = ((rows // 2, rows - rows // 2), (columns // 2, columns - columns // 2), (0, 0))
-    return np.pad(small, sides, constant_values=247)
 
 
 def _labelled(column: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:

@@ -7,7 +7,6 @@ Each function returns the lines of one table, its head first; no lines where not
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
 
 FARS = ("0.01", "0.001", "0.0001")
 PERCENT = {"0.01": "1 %", "0.001": "0.1 %", "0.0001": "0.01 %"}
@@ -48,8 +47,8 @@ THE_THESIS: tuple[tuple[str, str, str, str, str], ...] = (
     ("3.21", "relief, SnK, n = 3 (thesis: two sessions)", "0.001", "90.5", "scales:n = 3:relief"),
     ("5.3", "normals, relief and shape joined (SnK)", "0.01", "95.3", "fusion:snk:all three, mean"),
     ("5.4", "normals, SnK", "0.01", "92", "cases:snk:normals"),
-    ("5.4", "normals, PR", "0.01", "90 (read off the plot)", "cases:pr:normals"),
-    ("5.4", "normals, EA", "0.01", "86 (read off the plot)", "cases:ea:normals"),
+    ("5.4", "normals, PR", "0.01", "90 (plot)", "cases:pr:normals"),
+    ("5.4", "normals, EA", "0.01", "86 (plot)", "cases:ea:normals"),
     ("5.4", "normals, metric", "0.01", "-", "cases:metric:normals"),
     ("5.5", "relief, SnK", "0.01", "95", "cases:snk:relief"),
     ("5.5", "relief, SnK", "0.001", "90.5", "cases:snk:relief"),
@@ -128,66 +127,6 @@ def thesis_table(
     return lines
 
 
-def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequence[Row]]) -> Lines:
-    """Cases from the highest GAR down; ``>`` where the paired interval of the two neighbours leaves
-    out zero."""
-    systems = (
-        ("thesis, normals", "cases", "thesis", "normals"),
-        ("thesis, relief", "cases", "thesis", "relief"),
-        ("ridge", "matchers", "ridge", ""),
-        ("minutiae", "matchers", "minutiae", ""),
-    )
-    lines = [["matcher", "judged", *(f"FAR {PERCENT[far]}" for far in FARS), "d'"]]
-    for words, table, *own in systems:
-        rates, differences = (
-            [row for row in part[table] if [row["matcher"], row["attribute"]] == own]
-            for part in (tables, differ)
-        )
-        for key in (THESIS, PLAIN, PASSING):
-            rows, two = compared(rates, key), compared(differences, key)
-            if rows:
-                cells = [
-                    *(order(rows, two, f"gar@{far}", 100, f"accepts@{far}") for far in FARS),
-                    order(rows, two, "d_prime"),
-                ]
-                lines.append([words, JUDGED[key], *cells])
-    return lines if len(lines) > 1 else []
-
-
-def order(
-    rows: Sequence[Row], two: Sequence[Row], figure: str, factor: float = 1, accepts: str = ""
-) -> str:
-    """One order, such as ``snk 95 > ea 88 ~ pr 88``, by a figure of which more is better."""
-    known = sorted((row for row in rows if row.get(figure)), key=lambda row: -float(row[figure]))
-    if not known:
-        return "too few impostors"
-    text = f"{known[0]['case']} {digits(factor * float(known[0][figure]))}"
-    for better, worse in pairwise(known):
-        sure = beyond_chance(two, better["case"], worse["case"], figure)
-        text += f" {'>' if sure else '~'} {worse['case']} {digits(factor * float(worse[figure]))}"
-    return text + (" †" if accepts and int(known[0][accepts]) < ROUGH_BELOW else "")
-
-
-def beyond_chance(two: Sequence[Row], first: str, second: str, figure: str) -> bool:
-    """Whether the intervals of a difference leave out zero, drawn by finger and by subject."""
-    row = next(row for row in two if {row["first"], row["second"]} == {first, second})
-    limits = [
-        (float(row[f"{figure}_low_{way}"]), float(row[f"{figure}_high_{way}"]))
-        for way in ("finger", "subject")
-        if row.get(f"{figure}_low_{way}")
-    ]
-    return bool(limits) and all(low > 0 or high < 0 for low, high in limits)
-
-
-def margin_table(rows: Sequence[Row]) -> Lines:
-    """Least and median genuine, median and largest impostor score of each case: no gate, single."""
-    names = ("least_genuine", "median_genuine", "median_impostor", "largest_impostor")
-    lines = [["case", *(name.replace("_", " ") for name in names)]]
-    for row in compared(rows, PLAIN):
-        lines.append([row["case"], *(f"{float(row[name]):.3g}" for name in names)])
-    return lines if len(lines) > 1 else []
-
-
 def gar_cell(row: Row, far: str) -> str:
     """A GAR with its intervals; a FAR that the impostors do not support is named, not printed."""
     accepts = int(row.get(f"accepts@{far}") or 0)
@@ -222,3 +161,52 @@ def compared(rows: Sequence[Row], key: tuple[str, ...]) -> list[Row]:
 
 def digits(value: float, sign: str = "") -> str:
     return f"{value:{sign}.1f}".replace("-0.0", "0.0").replace("+0.0", "0.0")
+
+
+def sensitivity_table(rows: Sequence[Row]) -> Lines:
+    """GAR at the thresholds of FAR 1 % and 0.1 % in each bin, one line for each case and
+    matcher."""
+    if not rows:
+        return []
+    bins = list(dict.fromkeys((float(row["from"]), float(row["to"])) for row in rows))
+    bins.sort()
+    first = rows[0]
+    counts = {
+        (float(row["from"]), float(row["to"])): row["genuine"]
+        for row in rows
+        if (row["case"], row["matcher"], row["attribute"])
+        == (first["case"], first["matcher"], first["attribute"])
+    }
+    headings = [
+        f"{low:g} to {high:g} ({counts.get((low, high), '?')})" if first["factor"] != "partial"
+        else f"{low + 0.5:g} ({counts.get((low, high), '?')})"
+        for low, high in bins
+    ]  # fmt: skip
+    lines = [["matcher", "case", *headings]]
+    for system in dict.fromkeys((row["matcher"], row["attribute"], row["case"]) for row in rows):
+        own = {
+            (float(row["from"]), float(row["to"])): row
+            for row in rows
+            if (row["matcher"], row["attribute"], row["case"]) == system
+        }
+        cells = [_bin_cell(own[key]) if key in own else "" for key in bins]
+        lines.append([" ".join(system[:2]).strip(), system[2], *cells])
+    return lines
+
+
+def _bin_cell(row: Row) -> str:
+    if not row["gar@0.01"]:
+        return "-"
+    low, high = (digits(100 * float(row[f"gar@0.01_{end}"])) for end in ("low", "high"))
+    return f"{digits(100 * float(row['gar@0.01']))} [{low}, {high}]"
+
+
+def figures_table(rows: Sequence[Row]) -> Lines:
+    """Means over captures, with their intervals."""
+    if not rows:
+        return []
+    lines = [["figure", "what", "mean", "captures"]]
+    for row in rows:
+        mean, low, high = (f"{float(row[name]):.3g}" for name in ("mean", "low", "high"))
+        lines.append([row["figure"], row["what"], f"{mean} [{low}, {high}]", row["captures"]])
+    return lines

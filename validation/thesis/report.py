@@ -13,13 +13,12 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-import json
 import re
 import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
-from page_facts import discarded_table, failures_table, figures_table, run_table, sensitivity_table
 from page_tables import (
     BY_PRINT,
     PLAIN,
@@ -30,9 +29,9 @@ from page_tables import (
     Lines,
     Row,
     difference_table,
-    margin_table,
-    order_table,
+    figures_table,
     rate_table,
+    sensitivity_table,
     thesis_table,
 )
 
@@ -112,72 +111,47 @@ SHOWN = (THESIS, PLAIN)
 """How the page's table is judged."""
 
 
+RATES = {
+    "scales": ("scales", "n", "{case}", UNDILUTED),
+    "fusion": ("fusion", "attribute", "{attribute}", UNDILUTED),
+    "which_normals": ("normals", "case, normals", "{case}, {reading}", (THESIS, PLAIN)),
+    "ridge": ("matchers ridge", "case", "{case}", BY_PRINT),
+    "minutiae": ("matchers minutiae", "case", "{case}", BY_PRINT),
+    "family": ("family", "case, matcher", "{case}, {matcher}", (PLAIN, WHOLE)),
+    "people": ("people", "case, matcher", "{case}, {matcher}", (PLAIN, WHOLE)),
+}
+"""Tables of rates: the file and, where it holds several, the matcher; what a row is called; how it
+is judged."""
+DIFFERENCES = {
+    "scales": ("scales", UNDILUTED),
+    "fusion": ("fusion", (THESIS_WHOLE, WHOLE)),
+    "normals": ("cases normals", UNDILUTED),
+    "relief": ("cases relief", UNDILUTED),
+    "fusion_minutiae": ("fusion_minutiae", (THESIS_WHOLE, WHOLE)),
+    "family": ("family", (WHOLE,)),
+    "descriptors_normals": ("descriptors normals", UNDILUTED),
+}
+"""Tables of differences: the file and, where it holds several, the attribute; how it is judged."""
+
+
 def readable(folder: Path) -> dict[str, Lines]:
     """All tables for reading."""
-    runs = json.loads((folder / "runs.json").read_text(encoding="utf-8"))
-    tables = {
-        name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")
-    }
-    differ = {name: read(folder / f"{name}_differences.csv") for name in tables}
-    for_reading = {
-        "run": run_table(runs),
-        "thesis": thesis_table(tables),
-        "order": order_table(tables, differ),
-        "scales": rate_table(
-            tables["scales"], "n", lambda row: row["case"].removeprefix("n = "), UNDILUTED
-        ),
-        "scales_differences": difference_table(differ["scales"], UNDILUTED),
-        "fusion": rate_table(tables["fusion"], "attribute", _attribute, UNDILUTED),
-        "fusion_differences": difference_table(differ["fusion"], (THESIS_WHOLE, WHOLE)),
-        "failures": failures_table(read(folder / "failures.csv")),
-        "discarded": discarded_table(runs["failures"]["roll"]),
-    }
-    for name in ("normals", "relief"):
-        rows = [row for row in differ["cases"] if row["attribute"] == name]
-        for_reading[f"{name}_differences"] = difference_table(rows, UNDILUTED)
-    which, between = (read(folder / f"normals{ending}.csv") for ending in ("", "_differences"))
-    for_reading["which_normals"] = rate_table(which, "case, normals", _which, (THESIS, PLAIN))
-    for_reading["which_normals_differences"] = difference_table(between, (PLAIN,))
-    for_reading["fusion_minutiae"] = rate_table(
-        read(folder / "fusion_minutiae.csv"),
-        "case, joined",
-        lambda row: f"{row['case']}, {_attribute(row)}",
-        (THESIS, PLAIN),
-    )
-    for_reading["fusion_minutiae_differences"] = difference_table(
-        read(folder / "fusion_minutiae_differences.csv"), (THESIS_WHOLE, WHOLE)
-    )
-    for name in ("ridge", "minutiae"):
-        rows = [row for row in tables["matchers"] if row["matcher"] == name]
-        for_reading[name] = rate_table(rows, "case", lambda row: row["case"], BY_PRINT)
-        for_reading[f"{name}_margin"] = margin_table(rows)
-    for name in ("family", "people"):
-        for_reading[name] = rate_table(
-            read(folder / f"{name}.csv"),
-            "case, matcher",
-            lambda row: f"{row['case']}, {row['matcher']}",
-            (PLAIN, WHOLE),
-        )
-    for_reading["family_differences"] = difference_table(
-        read(folder / "family_differences.csv"), (WHOLE,)
-    )
-    described, apart = (
-        read(folder / f"descriptors{ending}.csv") for ending in ("", "_differences")
-    )
-    for name in ("normals", "relief"):
-        rows, two = (
-            [row for row in part if row["attribute"] == name] for part in (described, apart)
-        )
-        for_reading[f"descriptors_{name}"] = rate_table(
-            rows, f"feature, {name}", lambda row: row["case"], UNDILUTED
-        )
-        for_reading[f"descriptors_{name}_differences"] = difference_table(two, UNDILUTED)
+    tables = {name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "scales")}
+    for_reading = {"thesis": thesis_table(tables)}
+    for name, (source, head, words, judged) in RATES.items():
+        file, _, matcher = source.partition(" ")
+        rows = [row for row in read(folder / f"{file}.csv") if matcher in ("", row["matcher"])]
+        for_reading[name] = rate_table(rows, head, partial(_named, words), judged)
+    for name, (source, judged) in DIFFERENCES.items():
+        file, _, attribute = source.partition(" ")
+        rows = read(folder / f"{file}_differences.csv")
+        rows = [row for row in rows if attribute in ("", row["attribute"])]
+        for_reading[f"{name}_differences"] = difference_table(rows, judged)
     for_reading["figures"] = figures_table(read(folder / "figures.csv"))
     sensitivity = read(folder / "sensitivity.csv")
     for factor in ("roll", "glare", "moisture", "partial"):
-        for_reading[factor] = sensitivity_table(
-            [row for row in sensitivity if row["factor"] == factor]
-        )
+        rows = [row for row in sensitivity if row["factor"] == factor]
+        for_reading[factor] = sensitivity_table(rows)
     return for_reading
 
 
@@ -189,13 +163,11 @@ def read(file: Path) -> list[Row]:
         return list(csv.DictReader(stream))
 
 
-def _attribute(row: Row) -> str:
-    return row["attribute"].replace("_", " ")
-
-
-def _which(row: Row) -> str:
-    """Of the surface, or as photometric stereo measured them."""
-    return f"{row['case']}, {'of the surface' if row['attribute'] == 'normals' else 'measured'}"
+def _named(words: str, row: Row) -> str:
+    """What a row is called, its attribute in words."""
+    named = {name: row[name].replace("_", " ") for name in ("case", "matcher", "attribute")}
+    reading = "of the surface" if row["attribute"] == "normals" else "measured"
+    return words.format(**named, reading=reading).removeprefix("n = ")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 his beside ours.
 
     python validation/thesis/reproduce.py --out DIR  # as the thesis: 17 people, ten fingers
-    python validation/thesis/reproduce.py --out DIR --people 3      # fifteen minutes of two cores
+    python validation/thesis/reproduce.py --out DIR --people 3 --sessions 2  # 7 minutes of 2 cores
     python validation/thesis/reproduce.py --out DIR --figures 5.4,5.5     # what these figures need
     python validation/thesis/reproduce.py --out DIR --scheduler tls://HOST:8786  # on a cluster
 
@@ -191,70 +191,38 @@ def _steps(
     options: argparse.Namespace, size: Size, needed: Sequence[str], examined: int
 ) -> Iterator[list[str]]:
     """The commands, each of which goes on where it was stopped."""
-    people, store, tables = (str(options.out / name) for name in ("people", "store", "tables"))
-    verb = [sys.executable, "-m", "splitknit"]
+    out, python = shlex.quote(str(options.out)), shlex.quote(sys.executable)
+    verb = f"{python} -m splitknit"
     if "steps" in needed:
-        yield _simulation(options, options.out / "finger", ONE_FINGER)
-        capture = str(options.out / "finger" / "S01" / "session_1" / ONE_FINGER.fingers)
-        steps = str(options.out / "steps")
-        yield [*verb, "reconstruct", capture, "--preset", "snk", "--keep-steps", "--out", steps]
+        yield _simulation(options, verb, f"{out}/finger", ONE_FINGER)
+        capture = f"{out}/finger/S01/session_1/{ONE_FINGER.fingers}"
+        yield shlex.split(
+            f"{verb} reconstruct {capture} --preset snk --keep-steps --out {out}/steps"
+        )
     if needed == ["steps"]:
         return
-    yield _simulation(options, options.out / "people", size)
-    cluster = (
-        ["--scheduler", options.scheduler] if options.scheduler else ["--jobs", str(options.jobs)]
+    yield _simulation(options, verb, f"{out}/people", size)
+    cluster = f"--scheduler {options.scheduler}" if options.scheduler else f"--jobs {options.jobs}"
+    yield shlex.split(
+        f"{verb} batch {out}/people --out {out}/store --cases {','.join(CASES)} --matchers thesis"
+        f" --impostors 1 --seed {SEED} {cluster}"
     )
-    yield [
-        *verb,
-        "batch",
-        people,
-        "--out",
-        store,
-        "--cases",
-        ",".join(CASES),
-        "--matchers",
-        "thesis",
-        "--impostors",
-        "1",
-        "--seed",
-        str(SEED),
-        *cluster,
-    ]
     for part in (name for name in needed if name != "steps"):
-        yield [
-            sys.executable,
-            str(HERE / "run.py"),
-            part,
-            "--population",
-            people,
-            "--store",
-            store,
-            "--out",
-            tables,
-            "--scratch",
-            str(options.out / "scratch"),
-            "--cases",
-            *CASES,
-            "--captures",
-            str(examined),
-            "--jobs",
-            str(options.jobs),
-        ]
+        yield shlex.split(
+            f"{python} {shlex.quote(str(HERE / 'run.py'))} {part} --population {out}/people"
+            f" --store {out}/store --out {out}/tables --scratch {out}/scratch"
+            f" --cases {' '.join(CASES)} --captures {examined} --jobs {options.jobs}"
+        )
 
 
-def _simulation(options: argparse.Namespace, out: Path, size: Size) -> list[str]:
+def _simulation(options: argparse.Namespace, verb: str, out: str, size: Size) -> list[str]:
     """The command that simulates a population of this size."""
-    return [
-        *(sys.executable, "-m", "splitknit", "simulate", "population"),
-        *("--out", str(out)),
-        *("--seed", str(SEED)),
-        *("--scale", str(options.scale)),
-        *("--subjects", str(size.people)),
-        *("--sessions", str(size.sessions)),
-        *(("--fingers", size.fingers) if size.fingers else ()),
-        *("--set", "sessions.partial_share=0"),
-        *("--workers", str(options.jobs)),
-    ]
+    fingers = f"--fingers {size.fingers}" if size.fingers else ""
+    return shlex.split(
+        f"{verb} simulate population --out {out} --seed {SEED} --scale {options.scale}"
+        f" --subjects {size.people} --sessions {size.sessions} {fingers}"
+        f" --set sessions.partial_share=0 --workers {options.jobs}"
+    )
 
 
 def _do(step: Sequence[str]) -> None:
@@ -319,11 +287,7 @@ def _section(
         figure.command or f"validation/thesis/reproduce.py --out DIR --figures {figure.number}"
     )
     python = "" if command.startswith("splitknit") else "python "
-    stated = (
-        f"<b>The thesis:</b> {html.escape(figure.thesis)}."
-        if figure.thesis
-        else "The thesis shows a picture."
-    )
+    stated = f"<b>The thesis shows</b> {html.escape(figure.thesis)}."
     return (
         f"<section><h2>Figure {figure.number}:"
         f" {html.escape(figure.shows)}</h2><p>{stated}</p>{pictures}{table}"

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import BoolArray, Camera, Led, Rig
+from splitknit.model import Camera, Led, Rig
 from splitknit_simulator.calibration_set.solids import unit
-from splitknit_simulator.light.lighting import irradiance
 
 Array = NDArray[np.float64]
 FULL_PX_PER_MM = 75.7  # scale of the full frame of the thesis's camera, 3200 x 2200 pixels
@@ -59,11 +58,6 @@ class RigCandidate:
             f"h{self.height_mm:g}_r{self.radius_mm:g}_p{self.power_w:g}_t{tilt}_s{self.px_per_mm:g}"
         )
 
-    @property
-    def volume_l(self) -> float:
-        """Size of the box: litres of the cylinder that holds LEDs and camera."""
-        return float(np.pi * self.radius_mm**2 * self.height_mm * 1e-6)
-
 
 @dataclass(frozen=True, slots=True)
 class BuildSettings:
@@ -72,8 +66,6 @@ class BuildSettings:
     half_angle_deg: float = 30.0
     """Angle at which an LED is half as bright: 60 bare, 30 and less with a lens, 90 for even
     light."""
-    led_drop_mm: float = 0.0
-    """How far the LEDs stand below the front of the lens; negative is above."""
     view: str = "perspective"
     """Model of the simulated camera: ``perspective``, or ``orthographic`` as the thesis assumes
     it."""
@@ -115,13 +107,13 @@ def candidate_rig(
 ) -> Rig:
     """The candidate as a rig; `intensities`: of the LEDs on their axis, in W/sr, of each band that
     has LEDs."""
-    tilt, z = np.deg2rad(candidate.beam_deg), candidate.height_mm - build.led_drop_mm
+    tilt = np.deg2rad(candidate.beam_deg)
     leds = []
     for band, intensity in intensities.items():
         for k in range(_LEDS_PER_BAND):
             azimuth = 2.0 * np.pi * (k + (0.5 if band == "nir" else 0.0)) / _LEDS_PER_BAND
             x, y = float(np.cos(azimuth)), float(np.sin(azimuth))
-            place = (candidate.radius_mm * x, candidate.radius_mm * y, z)
+            place = (candidate.radius_mm * x, candidate.radius_mm * y, candidate.height_mm)
             aim = (-float(np.sin(tilt)) * x, -float(np.sin(tilt)) * y, -float(np.cos(tilt)))
             leds.append(
                 Led(band, place, intensity=intensity, lobe_exponent=build.lobe_exponent, aim=aim)
@@ -217,19 +209,10 @@ def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> PlannedExposure:
 W_PER_UNIT = 100.0
 """W/(m^2 sr) in one unit of the twin's radiance, where intensities are W/sr: its unit is that of
 100 mm, (0.1 m)^-2."""
-_LED_BODY_MM = 2.5  # radius of an LED's case
-# half the diagonal of the camera's board (25 x 24 mm), which stands inside the circle
-_CAMERA_BODY_MM = 17.3
-_FINGER_MM = 12.0  # half the breadth of the opening that a large finger needs
-_WALL_MM = 8.0  # from the circle of the LEDs to the outside of the box
-_BED_MM = (220.0, 250.0)  # side of the printer's bed, and its height
 _ROUGHNESS = 0.25  # GGX alpha of the skin whose specular reflection is evaluated
 _MAX_BLIND = 0.05
 """Largest fraction of the print where fewer than three LEDs are free of it: three is what a normal
 needs."""
-ALBEDO = 0.6  # albedo of skin in its brightest channel, for the exposure
-# smallest fraction of an LED's axial intensity that falls on the middle of the finger plane
-_MIN_BEAM = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,32 +224,6 @@ class PrintPoints:
     normals: Array
 
 
-def examine(
-    candidate: RigCandidate,
-    build: BuildSettings,
-    photons: PhotonSettings,
-    *,
-    finger: PrintPoints,
-    bands: Sequence[str] = ("white",),
-) -> dict[str, str]:
-    """By constraint why the candidate breaks it, "" where it does not; `bands`: whose exposure is
-    judged."""
-    leds = candidate_rig(candidate, build, led_intensities(candidate, build, bands)).leds
-    white = [led for led in leds if led.band == leds[0].band]
-    return {
-        "leds_in_view": _in_view(white, candidate, build),
-        "direct_light": _into_lens(white, candidate),
-        "room": _room(candidate),
-        "printer": _bed(candidate),
-        "beam": _beam(candidate, build.lobe_exponent),
-        "glare": _glare(white, candidate, build, finger),
-        **{
-            f"exposure_{band}": _exposed(band, planned_exposure(leds, band, photons))
-            for band in bands
-        },
-    }
-
-
 def led_intensities(
     candidate: RigCandidate, build: BuildSettings, bands: Sequence[str]
 ) -> dict[str, float]:
@@ -276,81 +233,17 @@ def led_intensities(
     }
 
 
-def _in_view(leds: list[Led], candidate: RigCandidate, build: BuildSettings) -> str:
-    """Distance of the LEDs' cases from the pyramid (or prism) that the camera sees."""
-    clear = 1e3
-    for led in leds:
-        x, y, z = np.asarray(led.position_mm)
-        below = candidate.height_mm - z + _LED_BODY_MM  # of the LED's lowest point, from the lens
-        if below > 0:
-            fraction = below / candidate.height_mm if build.view == "perspective" else 1.0
-            half_y, half_x = (0.5 * side * fraction for side in FIELD_MM)
-            outside = np.hypot(max(abs(x) - half_x, 0.0), max(abs(y) - half_y, 0.0))
-            clear = min(clear, float(outside) - _LED_BODY_MM)
-    return (
-        ""
-        if clear > 0.0
-        else f"an LED on a circle of {candidate.radius_mm:g} mm stands in the picture."
-    )
-
-
-def _into_lens(leds: list[Led], candidate: RigCandidate) -> str:
-    """Fraction of an LED's axial intensity that meets the front of the lens, weighed by the cosine
-    there."""
-    worst = 0.0
-    for led in leds:
-        to_lens = np.array([0.0, 0.0, candidate.height_mm]) - np.asarray(led.position_mm)
-        if to_lens[2] > 0:  # the lens looks down: only light from below meets it
-            distance = float(np.linalg.norm(to_lens))
-            leaves = max(float(np.dot(led.axis, to_lens)) / distance, 0.0)
-            worst = max(worst, float(to_lens[2]) / distance * leaves**led.lobe_exponent)
-    return (
-        ""
-        if worst < 1e-3
-        else f"LEDs below the lens shine into it ({100 * worst:.1f} % of their axial light)."
-    )
-
-
-def _room(candidate: RigCandidate) -> str:
-    inside, needed = candidate.radius_mm - _LED_BODY_MM, max(_CAMERA_BODY_MM, _FINGER_MM)
-    return (
-        ""
-        if inside >= needed
-        else f"{inside:.1f} mm are free in the circle, {needed:.1f} are needed."
-    )
-
-
-def _bed(candidate: RigCandidate) -> str:
-    breadth = 2.0 * (candidate.radius_mm + _WALL_MM)
-    fits = breadth <= _BED_MM[0] and candidate.height_mm <= _BED_MM[1]
-    return (
-        ""
-        if fits
-        else (
-            f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, fits no"
-            " printer."
-        )
-    )
-
-
-def _beam(candidate: RigCandidate, exponent: float) -> str:
-    off = abs(
-        candidate.beam_deg - float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm)))
-    )
-    fraction = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
-    ok = fraction >= _MIN_BEAM and off < 75.0
-    return (
-        ""
-        if ok
-        else f"beams {off:.0f} deg off the finger give it {100 * fraction:.0f} % of their light."
-    )
-
-
-def _glare(
-    leds: list[Led], candidate: RigCandidate, build: BuildSettings, finger: PrintPoints
-) -> str:
-    glare = _glaring(leds, candidate, build, _ROUGHNESS, finger)
-    blind = float(np.mean((~glare).sum(axis=0) < 3))
+def glare_fault(candidate: RigCandidate, build: BuildSettings, finger: PrintPoints) -> str:
+    """Why too much of the print shows specular reflection, "" where it does not: each LED's mirror
+    direction must lie outside the roughness lobe, seen by the camera."""
+    leds, points = candidate_rig(candidate, build, {"white": 1.0}).leds, finger.points_mm
+    view = np.array([0.0, 0.0, 1.0])
+    if build.view == "perspective":
+        view = unit(np.array([0.0, 0.0, candidate.height_mm]) - points)
+    halves = [unit(unit(np.asarray(led.position_mm) - points) + view) for led in leds]
+    limit = np.cos(_glare_lobe_rad(_ROUGHNESS))
+    clear = [np.sum(half * finger.normals, axis=1) <= limit for half in halves]
+    blind = float(np.mean(np.sum(clear, axis=0) < 3))
     return (
         ""
         if blind <= _MAX_BLIND
@@ -358,45 +251,8 @@ def _glare(
     )
 
 
-def _glaring(
-    leds: list[Led],
-    candidate: RigCandidate,
-    build: BuildSettings,
-    roughness: float,
-    finger: PrintPoints,
-) -> BoolArray:
-    """(L, N) whether each LED's mirror direction lies within the roughness lobe, seen by the
-    camera."""
-    points = finger.points_mm
-    view = np.array([0.0, 0.0, 1.0])
-    if build.view == "perspective":
-        view = unit(np.array([0.0, 0.0, candidate.height_mm]) - points)
-    halves = [unit(unit(np.asarray(led.position_mm) - points) + view) for led in leds]
-    limit = np.cos(_glare_lobe_rad(roughness))
-    return np.array([np.sum(half * finger.normals, axis=1) > limit for half in halves])
-
-
-def planned_exposure(
-    leds: Sequence[Led], band: str, photons: PhotonSettings
-) -> PlannedExposure | None:
-    """Exposure of facing patches of skin about the middle of the finger plane; None where no light
-    falls on them."""
-    spots = np.array([[0.0, 5.0, -5.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0, -5.0], np.zeros(5)])
-    lit = (float(irradiance(led, spots, (0.0, 0.0, 1.0)).max()) for led in leds if led.band == band)
-    rate = electrons_per_s(ALBEDO / np.pi * W_PER_UNIT * max(lit), LAMPS[band], photons)
-    return plan_exposure(rate, photons) if rate > 0 else None
-
-
 def _glare_lobe_rad(roughness: float) -> float:
     """Angle between normal and half vector where a GGX surface's glare is halved: Walter et al.
     2007, equation (33)."""
     squared = min(roughness**2, 0.6)
     return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
-
-
-def _exposed(band: str, plan: PlannedExposure | None) -> str:
-    if plan is None:
-        return "no light falls on the finger."
-    if MIN_LEVEL <= plan.level <= 1.0:
-        return ""
-    return f"the {band} band is exposed to {100 * plan.level:.2g} % of full scale."

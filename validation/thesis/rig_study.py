@@ -19,6 +19,7 @@ from rig_candidates import (
     FULL_PX_PER_MM,
     FULL_WELL_E,
     LAMPS,
+    MIN_LEVEL,
     READ_NOISE_E,
     W_PER_UNIT,
     BuildSettings,
@@ -28,7 +29,7 @@ from rig_candidates import (
     RigCandidate,
     candidate_rig,
     electrons_per_s,
-    examine,
+    glare_fault,
     led_intensities,
     plan_exposure,
 )
@@ -112,33 +113,15 @@ class ThesisStudy:
         """Bands that the method looks at."""
         return ("white", "nir") if self.method == "metric" else ("white",)
 
-    def broken(self, candidate: RigCandidate) -> dict[str, str]:
-        """The constraints; under a rendering program's fixed exposure that of the sensor does not
-        count."""
-        constraints = examine(
-            candidate, self.build, self.photons, finger=_typical(FIRST_SEED), bands=self.bands
-        )
-        rendered = self.camera == "renderer"
-        return {
-            name: why
-            for name, why in constraints.items()
-            if not (rendered and name.startswith("exposure"))
-        }
-
     def record(self, candidate: RigCandidate) -> dict[str, Any]:
-        """Judge and measure one candidate: ``status`` (``done``; ``refused`` by a constraint;
-        ``failed`` where a finger could not be reconstructed), ``reason``, ``constraints``, and the
-        figures of all ``fingers`` and their ``mean``.
+        """Judge and measure one candidate: ``status`` (``done``; ``refused`` where specular
+        reflection hides the print; ``failed`` where a finger could not be exposed or
+        reconstructed), ``reason``, and the figures of all ``fingers`` and their ``mean``.
         """
-        constraints = self.broken(candidate)
         record: dict[str, Any] = {"candidate": {**asdict(candidate), "name": candidate.name}}
-        record |= {"constraints": constraints, "fingers": [], "mean": None}
-        if any(constraints.values()):
-            return {
-                **record,
-                "status": "refused",
-                "reason": next(filter(None, constraints.values())),
-            }
+        record |= {"fingers": [], "mean": None}
+        if reason := glare_fault(candidate, self.build, _typical(FIRST_SEED)):
+            return {**record, "status": "refused", "reason": reason}
         try:
             fingers = [_measure(candidate, self, seed) for seed in self.seeds]
         except BadInput as error:
@@ -429,6 +412,10 @@ def photograph_candidate(
         else:
             exposure = plan_exposure(
                 electrons_per_s(brightest * W_PER_UNIT, LAMPS[name], photons), photons
+            )
+            require(
+                exposure.level >= MIN_LEVEL,
+                f"the {name} band is exposed to {100 * exposure.level:.2g} % of full scale.",
             )
             sensor = SensorSettings(
                 full_well_e=FULL_WELL_E / exposure.gain,

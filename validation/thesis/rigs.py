@@ -18,6 +18,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,68 +47,53 @@ class Sweep:
     candidates: tuple[RigCandidate, ...]
 
 
-def _plane(
+def _sweep(  # noqa: PLR0917
+    asks: str,
     fingers: int,
-    heights: Sequence[float] = HEIGHTS_MM,
-    radii: Sequence[float] = RADII_MM,
+    heights: Sequence[float] = (140.0,),
+    radii: Sequence[float] = (52.5,),
+    powers: Sequence[float] = (1.0,),
+    tilts: Sequence[float | None] = (None,),
+    resolutions: Sequence[float] = (PX_PER_MM,),
     **study: Any,
 ) -> Sweep:
-    return Sweep(
-        "height and radius",
-        ThesisStudy(fingers=fingers, **study),
-        grid(heights, radii, (1.0,), (None,), (PX_PER_MM,)),
-    )
-
-
-def _powers(fingers: int, powers: Sequence[float], **study: Any) -> Sweep:
-    return Sweep(
-        "power",
-        ThesisStudy(fingers=fingers, **study),
-        grid((140.0,), (52.5,), powers, (None,), (PX_PER_MM,)),
-    )
-
-
-def _tilts(fingers: int, **study: Any) -> Sweep:
-    tilts = (0.0, 10.0, 20.0, 30.0, None)
-    return Sweep(
-        "tilt",
-        ThesisStudy(fingers=fingers, **study),
-        grid((140.0,), (52.5,), (1.0,), tilts, (PX_PER_MM,)),
-    )
-
-
-def _resolutions(fingers: int, values: Sequence[float], **study: Any) -> Sweep:
-    return Sweep(
-        "resolution",
-        ThesisStudy(fingers=fingers, **study),
-        grid((140.0,), (52.5,), (1.0,), (None,), values),
-    )
+    candidates = grid(heights, radii, powers, tilts, resolutions)
+    return Sweep(asks, ThesisStudy(fingers=fingers, **study), candidates)
 
 
 POWERS_W = (0.005, 0.01, 0.03, 0.1, 0.4, 1.0, 3.0)
 METRIC: dict[str, Any] = {"method": "metric", "material": "skin"}
+plane = partial(_sweep, "height and radius", heights=HEIGHTS_MM, radii=RADII_MM)
+power = partial(_sweep, "power", powers=POWERS_W)
+tilt = partial(_sweep, "tilt", tilts=(0.0, 10.0, 20.0, 30.0, None))
+resolution = partial(_sweep, "resolution", resolutions=(5.0, 7.5, 10.0, 15.0, 20.0))
 SWEEPS: dict[str, Sweep] = {
-    "ea_opaque": _plane(8),
-    "ea_poisson_opaque": _plane(4, method="ea-poisson"),
-    "ea_skin": _plane(4, material="skin"),
-    "metric_skin": _plane(6, (100.0, 140.0, 200.0), (35.0, 52.5, 80.0, 100.0), **METRIC),
-    "near_ea_opaque": _plane(4, (50.0, 70.0, 85.0), (52.5, 65.0, 80.0, 100.0)),
-    "parallel_ea_opaque": _plane(
-        8, (100.0, 140.0, 200.0), (52.5, 80.0), build=BuildSettings(view="orthographic")
+    "ea_opaque": plane(8),
+    "ea_poisson_opaque": plane(4, method="ea-poisson"),
+    "ea_skin": plane(4, material="skin"),
+    "metric_skin": plane(
+        6, heights=(100.0, 140.0, 200.0), radii=(35.0, 52.5, 80.0, 100.0), **METRIC
     ),
-    "power_ea_opaque": _powers(4, POWERS_W),
-    "power_metric_skin": _powers(3, POWERS_W, **METRIC),
-    "tilt_ea_opaque": _tilts(4),
-    "tilt_metric_skin": _tilts(3, **METRIC),
-    "resolution_ea_opaque": _resolutions(4, (5.0, 7.5, 10.0, 15.0, 20.0)),
-    "resolution_metric_skin": _resolutions(3, (5.0, 7.5, 10.0, 15.0, 20.0), **METRIC),
-    "renderer_power": _powers(
-        4, (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 1.5, 2.0, 3.0, 10.0), camera="renderer"
+    "near_ea_opaque": plane(4, heights=(50.0, 70.0, 85.0), radii=(52.5, 65.0, 80.0, 100.0)),
+    "parallel_ea_opaque": plane(
+        8,
+        heights=(100.0, 140.0, 200.0),
+        radii=(52.5, 80.0),
+        build=BuildSettings(view="orthographic"),
     ),
-    "renderer": Sweep(
+    "power_ea_opaque": power(4),
+    "power_metric_skin": power(3, **METRIC),
+    "tilt_ea_opaque": tilt(4),
+    "tilt_metric_skin": tilt(3, **METRIC),
+    "resolution_ea_opaque": resolution(4),
+    "resolution_metric_skin": resolution(3, **METRIC),
+    "renderer_power": power(
+        4, powers=(0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 1.5, 2.0, 3.0, 10.0), camera="renderer"
+    ),
+    "renderer": _sweep(
         "height, radius and power under one fixed exposure",
-        ThesisStudy(fingers=3, camera="renderer"),
-        grid((100.0, 140.0, 180.0), (35.0, 52.5, 70.0), (0.3, 1.0, 3.0), (None,), (PX_PER_MM,)),
+        *(3, (100.0, 140.0, 180.0), (35.0, 52.5, 70.0), (0.3, 1.0, 3.0)),
+        camera="renderer",
     ),
 }
 
@@ -136,14 +122,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     own.add_argument("--fingers", type=int, default=2)
     chosen = parser.parse_args(arguments)
     if chosen.heights:
-        study = ThesisStudy(
-            chosen.method,
-            chosen.fingers,
-            material="skin" if chosen.method == "metric" else "opaque",
-        )
-        sweep = Sweep(
-            "own", study, grid(chosen.heights, chosen.radii, chosen.powers, (None,), (PX_PER_MM,))
-        )
+        axes = (chosen.heights, chosen.radii, chosen.powers)
+        material = "skin" if chosen.method == "metric" else "opaque"
+        sweep = _sweep("own", chosen.fingers, *axes, method=chosen.method, material=material)
         folder = chosen.scratch / f"own_{chosen.method}_{chosen.fingers}"
         print("\n".join(table("own", measured(sweep, folder, chosen.workers))))
         return 0
@@ -171,10 +152,7 @@ def table(name: str, result: Mapping[str, Any]) -> list[str]:
             f"{name}: {result['method']}, {result['material']}, {result['camera']},"
             f" {result['fingers']} fingers"
         ),
-        (
-            "height radius power  tilt px/mm  Hausdorff (x: on the Pareto front; =: as good as the"
-            " best)   whole  ridges"
-        ),
+        ("height radius power  tilt px/mm  Hausdorff (=: as good as the best)   whole  ridges"),
     ]
     rows = [row for row in result["rows"] if row["status"] == "done"]
     for row in sorted(rows, key=lambda row: row["hausdorff_mm"]):
@@ -184,7 +162,7 @@ def table(name: str, result: Mapping[str, Any]) -> list[str]:
             if its["low"] is None
             else f" ({its['low']:.3f} to {its['high']:.3f}), {its['worse_by']:+.3f} mm"
         )
-        marks = " x" * (row["name"] in result["pareto"]) + " =" * its["as_good"]
+        marks = " =" * its["as_good"]
         tilt = "centre" if row["tilt_deg"] is None else f"{row['tilt_deg']:g}"
         lines.append(
             f"{row['height_mm']:6g} {row['radius_mm']:6g} {row['power_w']:5g} {tilt:>6}"
@@ -212,41 +190,6 @@ def sweep_rigs(
     return [json.loads(file.read_text(encoding="ascii")) for file in files.values()]
 
 
-def summarise(records: Sequence[Mapping[str, Any]], figure: str) -> dict[str, Any]:
-    """The ``best`` rig by a figure, which is minimised; how all are ``compared`` with it, by name;
-    the ``pareto`` front of the figure, the LEDs' power and the size of the box.
-    """
-    done = [record for record in records if record["status"] == "done"]
-    if not done:
-        sys.exit(
-            f"not one of the {len(records)} rigs can be built and measured: {records[0]['reason']}"
-        )
-    compared = _compare_with_best(done, figure)
-    rigs = [
-        RigCandidate(**{k: v for k, v in record["candidate"].items() if k != "name"})
-        for record in done
-    ]
-    costs = [
-        [record["mean"][figure], rig.power_w, rig.volume_l]
-        for record, rig in zip(done, rigs, strict=True)
-    ]
-    front = zip(rigs, _pareto_front(np.array(costs)), strict=True)
-    best = next(name for name, row in compared.items() if row["best"])
-    return {
-        "best": best,
-        "compared": compared,
-        "pareto": [rig.name for rig, is_on in front if is_on],
-    }
-
-
-def _pareto_front(costs: np.ndarray) -> np.ndarray:
-    """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller
-    somewhere."""
-    return np.array(
-        [not ((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any() for row in costs]
-    )
-
-
 def _mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
     """Mean of `values` and Student's interval about it; one value alone has no interval: (value,
     -inf, inf)."""
@@ -259,15 +202,20 @@ def _mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _compare_with_best(records: Sequence[dict[str, Any]], figure: str) -> dict[str, dict[str, Any]]:
-    """How much worse than the best every candidate is, finger by finger, by name: ``value`` and
-    ``low``, ``high`` (95 % interval of the mean over the fingers; None for one finger),
-    ``worse_by`` and ``worse_low``, ``worse_high`` (of the paired difference), and ``as_good``: that
-    interval holds zero.
+    """How much worse than the best every measured candidate is, finger by finger, by name, for a
+    figure that is minimised: ``value`` and ``low``, ``high`` (95 % interval of the mean over the
+    fingers; None for one finger), ``worse_by`` and ``worse_low``, ``worse_high`` (of the paired
+    difference), and ``as_good``: that interval holds zero.
     """
     values = {
         record["candidate"]["name"]: np.array([f[figure] for f in record["fingers"]])
         for record in records
+        if record["status"] == "done"
     }
+    if not values:
+        sys.exit(
+            f"not one of the {len(records)} rigs can be built and measured: {records[0]['reason']}"
+        )
     best = min(values, key=lambda name: (float(values[name].mean()), name))
     compared: dict[str, dict[str, Any]] = {}
     for name, own in values.items():
@@ -289,7 +237,7 @@ def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
     """Sweep, and what the tables follow from."""
     records = sweep_rigs(out, asked.candidates, asked.study, workers)
     summaries = {
-        objective: summarise(records, f"{objective}_mm")
+        objective: _compare_with_best(records, f"{objective}_mm")
         for objective in ("hausdorff", "whole", "rms")
     }
     rows = []
@@ -300,11 +248,10 @@ def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
             "status": record["status"],
             "reason": record["reason"],
         }
-        row["broken"] = [name for name, reason in record["constraints"].items() if reason]
         if record["mean"] is not None:
             row |= {key: round(value, 5) for key, value in record["mean"].items()}
             row["compared"] = {
-                objective: [_short(its["compared"][row["name"]][key]) for key in COMPARED]
+                objective: [_short(its[row["name"]][key]) for key in COMPARED]
                 for objective, its in summaries.items()
             }
         rows.append(row)
@@ -315,12 +262,14 @@ def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
         "camera": study.camera,
         "fingers": study.fingers,
     }
-    best = {objective: its["best"] for objective, its in summaries.items()}
+    best = {
+        objective: next(name for name, row in its.items() if row["best"])
+        for objective, its in summaries.items()
+    }
     return {
         "asks": asked.asks,
         **asks,
         "best": best,
-        "pareto": summaries["hausdorff"]["pareto"],
         "rows": rows,
     }
 
