@@ -1,5 +1,4 @@
-"""Pictures with captions, and what the camera saw: the mean white image with what was found in
-it."""
+"""What the camera saw: the mean of the white images with the outline, and all photographs."""
 
 from __future__ import annotations
 
@@ -43,7 +42,7 @@ def is_finger(result: Reconstruction) -> bool:
 def captioned(
     title: str,
     image: NDArray[np.uint8],
-    caption: str,
+    caption: str = "",
     pitch_mm: float = 0.0,
     legend: Markup = _NO_LEGEND,
 ) -> Picture:
@@ -151,11 +150,7 @@ def _contact_sheet(capture: Capture) -> Picture:
             255 * level.reshape(*size[::-1], -1) ** gamma
         )
     named = "; ".join(f"{len(band.pixels)} {name}" for name, band in capture.bands.items())
-    return captioned(
-        "Photographs",
-        sheet,
-        f"In the order of the capture, row by row: {named}. Good: sharp, none black, none white.",
-    )
+    return captioned("Photographs", sheet, f"{named}." if len(capture.bands) > 1 else "")
 
 
 def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
@@ -186,22 +181,11 @@ def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
         _line(picture, scale * np.asarray(crease, dtype=np.float64), BLUE, 2)
     pitch_mm = result.pitch_mm / scale
     if not finger:
-        caption = (
-            "Mean of the images, as the camera saw it. Orange: the outline of what was measured."
-            " Good: the outline follows the object closely and holds neither background nor shadow."
-        )
-        return captioned("Outline", picture, caption, pitch_mm)
-    cut = "No crease was cut. "
+        return captioned("Outline", picture, pitch_mm=pitch_mm)
+    cut = "No crease was cut."
     if crease is not None:
-        cut = "Dark blue: the flexion crease at which the phalange was cut. "
-    return captioned(
-        "Finger found",
-        picture,
-        "Mean of the white-light images, as the camera saw it. Orange: the outline of the skin"
-        f" that was used. Pale blue: the finger's axis, with a dot at the tip. {cut}Good: the"
-        " outline follows the finger closely and holds neither background nor shadow.",
-        pitch_mm,
-    )
+        cut = "Dark blue: the flexion crease at which the phalange was cut."
+    return captioned("Finger found", picture, cut, pitch_mm)
 
 
 def _mirror_picture(
@@ -222,15 +206,7 @@ def _mirror_picture(
     for outline in drawing["fitted"].values():
         for place in np.round(scale * np.array(outline, dtype=np.float64)).astype(int).tolist():
             cv2.circle(picture, place, 2, BLUE, -1, cv2.LINE_AA)
-    return captioned(
-        "Views in the mirrors",
-        picture,
-        "The finger itself and its mirror images. Orange: the outline found in each view. Pale"
-        " blue: medial lines. Dark blue dots: the outline of the fitted finger, seen in the mirrors"
-        " where they were found. Grey: where the rig file has the mirrors. Good: the dots lie on"
-        " the orange lines.",
-        result.pitch_mm / scale,
-    )
+    return captioned("Views in the mirrors", picture, pitch_mm=result.pitch_mm / scale)
 
 
 def _line(

@@ -41,27 +41,11 @@ from splitknit.observation.films import picture_bytes
 from splitknit.reconstruction import Reconstruction
 from splitknit.report import figures, template
 from splitknit.report.figures import Truth
-from splitknit.report.photos import LONGEST_PX, capture_pictures, is_finger
+from splitknit.report.photos import LONGEST_PX, capture_pictures, captioned, is_finger
 from splitknit.report.surface import scene_of
 
 if TYPE_CHECKING:
     from splitknit.accuracy import Comparison
-
-_COMPARED = (
-    ("surface_rms_mm", "Whole surface, rms", "mm", "below 0.13 mm"),
-    ("shape_rms_mm", "Shape without ridges, rms", "mm", "below 0.13 mm"),
-    ("normals_mean_deg", "Normals, mean angle", "deg", "small"),
-    ("ridge_correlation", "Ridge band, correlation", "", "above 0.85"),
-    ("ridge_gain", "Ridge band, gain", "", "0.6 to 1.4, ideally 1"),
-    ("ridge_rms_um", "Ridge band, rms", "µm", "small"),
-    ("ridge_truth_std_um", "Ridge band of the truth, standard deviation", "µm", ""),
-    ("ridge_good_area", "Area where the local ridge correlation exceeds 0.8", "", "above 0.90"),
-    ("height_band_correlation", "Ridge band of the whole height, correlation", "", ""),
-    ("height_band_gain", "Ridge band of the whole height, gain", "", ""),
-    ("mask_on_finger", "Fraction of the mask that lies on the finger", "", "above 0.99"),
-)
-"""Figure, words, unit, what good looks like."""
-
 
 _OF_FINGERS = ("crease_found", "crease_distance_mm", "crease_line", "tip_direction", "heights")
 """Facts that the page of an opaque thing leaves out."""
@@ -134,7 +118,7 @@ def make_report(
         summary=summary,
         warnings=[f"{SEVERITY_WORDS[finding.severity]}: {finding}" for finding in result.findings],
         scene=surfaces.result(),
-        above=figures.picture_from_above(above, frame.pitch_mm, finger),
+        above=captioned("From above", above, pitch_mm=frame.pitch_mm),
         prints=None if prints is None else figures.print_picture(prints),
         maps=maps,
         details={
@@ -155,11 +139,6 @@ def make_report(
             ],
         },
         comparisons=comparisons,
-        compared=[
-            row
-            for row in _COMPARED
-            if any(each.figures.get(row[0]) is not None for each in comparisons)
-        ],
         errors=figures.error_pictures(results, comparisons, frame) if comparisons else [],
     )
     return Report(html, facts, above, prints)
@@ -261,9 +240,7 @@ def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [
         {
             "name": _label(name),
-            "rows": [
-                (_label(key), _text(value), EXPLAINED.get(key, "")) for key, value in group.items()
-            ],
+            "rows": [(_label(key), _text(value)) for key, value in group.items()],
         }
         for name, group in groups.items()
         if group
@@ -288,103 +265,6 @@ def _text(value: Any) -> str:
             or "none"
         )
     return str(value)
-
-
-# What the names in a report mean, for readers who do not know the code.
-
-EXPLAINED = {
-    "ridge_contrast": (
-        "How much the ridges change the brightness, relative. Good: above 0.006; more is better."
-    ),
-    "ridge_contrast_per_image": "The same for every image. Good: all similar.",
-    "sharpness": (
-        "Focus: fine detail relative to brightness. Compare it between captures of one rig."
-    ),
-    "dark_specks": (
-        "Fraction of the surface under dark specks, as dust makes them. Good: below 0.002."
-    ),
-    "bright_specks": (
-        "Fraction of the surface under bright specks, as scales of dry skin make them. Good: below"
-        " 0.005."
-    ),
-    "saturated_per_image": (
-        "Fraction of the surface that is too bright to measure, for every image. Good: below 0.02."
-    ),
-    "brightness": "Median brightness of the surface, 1 = full scale. Good: 0.1 to 0.6.",
-    "brightness_per_image": "The same for every image.",
-    "ambient_share": "Ambient light, relative to that of the lamps. Good: below 0.3.",
-    "area_mm2": "Area of the surface in the image.",
-    "length_mm": "Length in view.",
-    "width_mm": "Width in view.",
-    "frame_share": "Fraction of the image that it fills.",
-    "borders": "Borders of the image that it touches.",
-    "led_relative": (
-        "Brightness of every image relative to what its light should give. Good: all near 1."
-    ),
-    "light_residual": (
-        "Part of the photographs that no matt surface under their lights explains. Good: below"
-        " 0.15."
-    ),
-    "light_brightness": (
-        "Brightness of each light over the mean, estimated with the surface and taken out."
-    ),
-    "light_residual_per_image": "The same for every image. Good: all similar.",
-    "yaw_deg": "Turn in the image, counter-clockwise; it is taken out.",
-    "tip_direction": (
-        "Where the tip's direction comes from: the capture, the outline, or an assumption."
-    ),
-    "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",
-    "motion_mm": ("How far it moved against the other shots, in every image. Good: below 0.05 mm."),
-    "motion_reliability": "How well that is known, for every image: 1 = certain.",
-    "moved_mm": (
-        "How far it moved against the reference image, for every image. A note says where it was"
-        " undone."
-    ),
-    "shift_mm": "The same to the right and upwards.",
-    "turn_deg": "By how much it turned, counter-clockwise.",
-    "centre_mm": "About which point, to the right and downwards from the first pixel.",
-    "unexplained_before": (
-        "Details of every image that no matt surface explains, before the motion was undone."
-    ),
-    "unexplained_after": "The same afterwards. Good: below 0.2.",
-    "likeness_before": (
-        "Correlation of every image's details with the expected ones, before the motion was undone."
-    ),
-    "likeness_after": "The same afterwards.",
-    "scattering_per_mm": (
-        "How often light is scattered in the skin, a millimetre; assumed for the shape."
-    ),
-    "relief_by": (
-        "network: ridges drawn by the trained network; colour: specular reflection removed by"
-        " colour alone; polarised: ridges from what the surface reflects, parallel less crossed"
-        " images; side: from what is white in images lit from the front and the side."
-    ),
-    "heights": (
-        "Of the ridges: measured in this finger's images, or modelled, as blurred by skin that was"
-        " simulated."
-    ),
-    "roughness": (
-        "Of the skin's surface for the light that it reflects (GGX alpha): 0.1 oily, 0.5 dry."
-    ),
-    "specular_over_noise": (
-        "What the surface reflects, by the brightest light, over the noise. Good: above 10."
-    ),
-    "residual_over_noise": (
-        "What the specular image leaves unexplained, over the noise. Good: below 1.5."
-    ),
-    "misfit": (
-        "Part of the light that no matt surface with the given normals explains, median. Good: near"
-        " `photometric_misfit`, that of the normals that the photographs themselves give."
-    ),
-    "contradicted": (
-        "Fraction of the surface where the photographs contradict the given normals. Good: below"
-        " 0.02."
-    ),
-    "separation": (
-        "What was done about specular reflection and about light that spreads below the surface."
-    ),
-}
-"""Name in ``quality`` or ``facts`` to what it means and what good looks like."""
 
 
 def _label(name: str) -> str:
