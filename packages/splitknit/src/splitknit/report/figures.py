@@ -32,7 +32,7 @@ from splitknit.io.pictures import (
 from splitknit.model import BoolArray, FloatArray
 from splitknit.observation.films import picture_bytes
 from splitknit.reconstruction import Reconstruction
-from splitknit.report.photos import Picture, captioned, colour_bar, is_finger
+from splitknit.report.photos import Picture, captioned, colour_bar, is_finger, round_step
 from splitknit.units import MILLIMETRES
 
 if TYPE_CHECKING:
@@ -156,8 +156,7 @@ def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     top = float(np.percentile(values[weight > 0.5], 99.9))
     depth = values - top
     low = float(np.percentile(depth[weight > 0.5], 0.5))
-    tens = 10.0 ** float(np.floor(np.log10(max(-low, 1e-6))))
-    step = tens / 2 if -low > 3 * tens else tens / 5 if -low > 1.5 * tens else tens / 10
+    step = round_step(max(-low, 1e-6) / 6)
     picture = colour(depth, low, 0.0)
     level = np.floor(depth / step).astype(np.float32)
     line = cv2.morphologyEx(level, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8)) > 0
@@ -179,12 +178,12 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
     if not known.any():
         return None
     title = f"Uncertainty of the {'relief' if is_finger(result) else 'heights'}"
-    values, weight = to_frame(result.uncertainty_um, known, small.frame)
-    high = float(np.percentile(values[weight > 0.5], 98))
-    picture = on_paper(colour(values, 0.0, high), weight)
-    name, per_mm = MILLIMETRES.fitting(high / 1000)
-    legend = colour_bar(0.0, float(f"{per_mm * high / 1000:.2g}"), name)
-    return captioned(title, picture, pitch_mm=small.frame.pitch_mm, legend=legend)
+    deviation_mm, weight = to_frame(result.uncertainty_um / 1000, known, small.frame)
+    high_mm = float(np.percentile(deviation_mm[weight > 0.5], 98))
+    name, per_mm = MILLIMETRES.fitting(high_mm)
+    field = per_mm * deviation_mm, weight
+    limits = 0.0, float(f"{per_mm * high_mm:.2g}")
+    return _field_picture(title, field, limits, name, small.frame.pitch_mm)
 
 
 def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:
@@ -249,22 +248,12 @@ def error_pictures(
     errors = []
     for result, comparison in zip(results, comparisons, strict=True):
         surface_mm = comparison.height_error_mm
-        errors.append(
-            signed(
-                f"Surface error, {result.preset}",
-                to_frame(surface_mm, np.isfinite(surface_mm), frame),
-                (-0.5, 0.5),
-                "mm",
-            )
-        )
-        errors.append(
-            signed(
-                f"Ridge error, {result.preset}",
-                to_frame(comparison.ridge_error_um, comparison.band, frame),
-                (-50.0, 50.0),
-                "µm",
-            )
-        )
+        surface = to_frame(surface_mm, np.isfinite(surface_mm), frame)
+        ridges = to_frame(comparison.ridge_error_um, comparison.band, frame)
+        errors += [
+            signed(f"Surface error, {result.preset}", surface, (-0.5, 0.5), "mm"),
+            signed(f"Ridge error, {result.preset}", ridges, (-50.0, 50.0), "µm"),
+        ]
     return errors
 
 

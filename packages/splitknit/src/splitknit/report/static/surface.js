@@ -303,8 +303,13 @@ function drawSection() {
   });
   chart.replaceChildren(...drawn);
   const corners = ends.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" to ");
-  const figures = `${length.toFixed(2)} ${unit} long, ${Number(spread.toPrecision(3))} ${named} from lowest to highest`;
-  note.textContent = `Section from ${corners} ${unit}: ${figures}.`;
+  const { factor_sd: factorSd, steep } = views[0].surface;
+  const known = factorSd ? ` \u00b1 ${Number((factorSd * spread).toPrecision(2))}` : "";
+  const figures = `${length.toFixed(2)} ${unit} long, ${Number(spread.toPrecision(3))}${known} ${named} from lowest to highest`;
+  const step = length / (places.length - 1);
+  const wall = levels[0].some((height, k) => Math.abs(height - levels[0][k - 1]) > steep * step);
+  const limit = wall ? " A lower limit: it crosses walls steeper than 70 deg, where shadow hides how high they are." : "";
+  note.textContent = `Section from ${corners} ${unit}: ${figures}.${limit}`;
 }
 
 function redraw() {
