@@ -195,7 +195,7 @@ def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | 
     )
     return captioned(
         "Specular image",
-        on_paper(picture_bytes(values)[..., None].repeat(3, axis=2), weight),
+        on_paper(picture_bytes(values)[..., None], weight),
         pitch_mm=small.frame.pitch_mm,
     )
 

@@ -76,9 +76,8 @@ def round_step(limit: float) -> float:
 
 def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -> Markup:
     """A bar that explains :func:`splitknit.io.pictures.colour`."""
-    shades = colour(
-        np.linspace(0.0, 1.0, 17, dtype=np.float32)[None], 0.0, 1.0, diverging=diverging
-    )[0]
+    fractions = np.linspace(0.0, 1.0, 17, dtype=np.float32)
+    shades = colour(fractions, 0.0, 1.0, diverging=diverging)
     stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in shades)
     return Markup(
         '<div style="max-width:220px"><div'

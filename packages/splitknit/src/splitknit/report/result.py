@@ -149,7 +149,6 @@ def _facts(
         "settings": result.settings,
         "timings_s": result.timings_s,
         "inputs_sha256": dict(sorted(result.hashes.items())),
-        "files": [],
         "comparison": {each.preset: each.figures for each in comparisons},
     }
     return {name: _plain(fact) for name, fact in facts.items()}
@@ -206,7 +205,7 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.4g}"
+        return f"{float(f'{value:.4g}'):g}"
     if isinstance(value, Mapping):
         return "; ".join(f"{_label(str(key))}: {_text(item)}" for key, item in value.items())
     if isinstance(value, list):
@@ -311,8 +310,7 @@ def write_files(
         write_picture(target / "preview.png", report.above, origin)
         for job in jobs:
             job.result()
-    more = [name for name in pictures if name not in names]
-    return report.write(target, [*names, *more, *step_files])
+    return report.write(target, [*dict.fromkeys((*names, *pictures)), *step_files])
 
 
 def preview_html(result: Reconstruction) -> str:
