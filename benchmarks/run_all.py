@@ -228,7 +228,8 @@ def page_table() -> str:
     for words, script, title, row, peer in SHOWN:
         tables = json.loads(stored(script).read_text(encoding="utf-8"))["tables"]
         cells = [figure(tables, title, row, kind) for kind in ("wall", "processor")]
-        beside = f"{figure(tables, title, peer, 'wall')} ({peer})" if peer else ""
+        named = peer.partition(",")[0]
+        beside = f"{figure(tables, title, peer, 'wall')} ({named})" if peer else ""
         lines.append(f"| {words} | {' | '.join(cells)} | {beside} |")
     return "\n".join(lines)
 
