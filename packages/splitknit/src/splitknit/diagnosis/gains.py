@@ -1,4 +1,4 @@
-"""How bright the light of each photograph is, over what is stated of it."""
+"""Brightness of each photograph's light, relative to the stated one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.equations import PAIRS, back_substitute, factorise
 
 LEAST_PHOTOGRAPHS = 4
-"""Photographs that are left at least: with one less, nothing shows which does not fit."""
+"""Min number of photographs that are kept: with fewer, no photograph can be checked against the
+others."""
 GAINS_PIXELS = 8_000
 """Pixels of the object that gains and derivatives are fitted to, in px. Chosen on: speed."""
 
