@@ -44,61 +44,73 @@ _IMREAD = "OpenCV, imread of all images, one after the other"
 _MINUTIAE = "Minutiae, prints of 533 x 342 at 500 ppi"
 _PHALANGE = "A phalange of 1968 x 1233 pixels (75.7 px/mm)"
 SHOWN = (
-    ("full frame by `metric`", "bench_reconstruct.py", _FRAME, "`metric`", _IMREAD),
-    ("full frame by `snk`", "bench_reconstruct.py", _FRAME, "`snk`", ""),
-    ("half scale by `metric`", "bench_reconstruct.py", _HALF, "`metric`", _IMREAD),
     (
-        "direct light, seven images",
+        "`reconstruct` of 16 frames of 3200 x 2200, `metric`",
+        "bench_reconstruct.py",
+        _FRAME,
+        "`metric`",
+        _IMREAD,
+    ),
+    ("the same, `snk`", "bench_reconstruct.py", _FRAME, "`snk`", ""),
+    ("16 frames of 1600 x 1100, `metric`", "bench_reconstruct.py", _HALF, "`metric`", _IMREAD),
+    (
+        "network for direct light, seven images of 1528 x 936",
         "bench_separate.py",
         "Seven images",
         "direct_light, colours, two threads",
         "",
     ),
     (
-        "robust normals",
+        "shadow-aware normals of the same images",
         "bench_normals.py",
         "Shadow-aware",
         "robust (shadow-aware)",
         "numpy: batched solve, shadow-aware",
     ),
     (
-        "integration",
+        "Poisson integration of 1528 x 936 normals, masked",
         "bench_integrate.py",
         "Masked",
         "poisson, masked",
         "pyamg: Ruge-Stueben with CG, double (rtol 1e-09)",
     ),
     (
-        "shapelets",
+        "integration by shapelets, the same normals",
         "bench_integrate.py",
         "Shapelets, n = 3",
         "shapelets",
         "numpy: scale by scale (Kovesi)",
     ),
     (
-        "`ridge`, both prepared",
+        "one comparison by `ridge`, templates ready",
         "bench_match.py",
         "Ridge templates",
         "comparison, both sides prepared",
         "",
     ),
     (
-        "the thesis's matcher",
+        "one comparison by the thesis's matcher",
         "bench_match.py",
         "The thesis's matcher, four channels of 1528 x 936",
         "lbp",
         "",
     ),
     (
-        "minutiae",
+        "minutiae of a print of 533 x 342",
         "bench_match.py",
         _MINUTIAE,
         "minutiae of a relief print",
         "nbis-py: minutiae of the same as PNG",
     ),
-    ("unrolled print", "bench_prints.py", _PHALANGE, "unrolled print (free)", ""),
     (
-        "ROC",
+        "unrolling a phalange of 1968 x 1233",
+        "bench_prints.py",
+        _PHALANGE,
+        "unrolled print (free)",
+        "",
+    ),
+    (
+        "ROC of 1,020,000 scores",
         "bench_evaluate.py",
         "ROC, scores in double precision",
         "roc",
@@ -209,17 +221,15 @@ def parsed(text: str) -> dict[str, Any]:
 def page_table() -> str:
     """The page's table: the rows ``SHOWN`` of what is stored."""
     lines = [
-        "| what | time, least / median | processor | peer, time |",
+        "| what is timed | wall time, ms: min / median | processor time, ms | a peer's wall time"
+        " on the same input, ms |",
         "| --- | --- | --- | --- |",
     ]
     for words, script, title, row, peer in SHOWN:
         tables = json.loads(stored(script).read_text(encoding="utf-8"))["tables"]
         cells = [figure(tables, title, row, kind) for kind in ("wall", "processor")]
-        beside = (
-            f"{figure(tables, title, peer, 'wall')} ({peer.partition(':')[0].partition(',')[0]})"
-            if peer
-            else ""
-        )
+        named = peer.partition(",")[0]
+        beside = f"{figure(tables, title, peer, 'wall')} ({named})" if peer else ""
         lines.append(f"| {words} | {' | '.join(cells)} | {beside} |")
     return "\n".join(lines)
 
@@ -229,15 +239,16 @@ KINDS = {"wall": ("wall", "seconds"), "processor": ("processor", "CPU")}
 
 
 def figure(tables: list[dict[str, Any]], title: str, row: str, kind: str) -> str:
-    """A cell with its unit; a dash where no table has such a row and column, as of a peer that is
-    not installed."""
+    """A cell in ms; a dash where no table has such a row and column, as of a peer that is not
+    installed."""
     for table in tables:
         cells = next((cells for cells in table["rows"] if cells[0] == row), None)
         column = next(
             (k for k, name in enumerate(table["columns"]) if name.startswith(KINDS[kind])), None
         )
         if table["title"].startswith(title) and cells is not None and column is not None:
-            return f"{cells[column]} {'ms' if ' ms' in table['columns'][column] else 's'}"
+            factor = 1 if " ms" in table["columns"][column] else 1000
+            return " / ".join(f"{factor * float(cell):g}" for cell in cells[column].split(" / "))
     return "-"
 
 

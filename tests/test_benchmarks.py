@@ -65,7 +65,7 @@ def test_what_a_script_prints_is_stored_as_tables() -> None:
                 "rows": [["x", "1 / 2"]],
             }
         ]
-        assert run_all.figure(times, "T", "x", "wall") == "1 / 2 ms"
+        assert run_all.figure(times, "T", "x", "wall") == "1 / 2"
         assert (
             run_all.figure(times, "T", "y", "wall")
             == run_all.figure(times, "T", "x", "processor")

@@ -7,6 +7,11 @@ from pathlib import Path
 from splitknit.arguments import AnyPath, PlanePoint, Positive, Report, checked
 from splitknit.errors import require
 
+STEEP_WALLS = (
+    "That height is a lower limit: {} of the section are steeper than 70 deg, where shadow hides"
+    " how high a wall is."
+)
+
 
 @checked
 def profile(
@@ -31,7 +36,7 @@ def profile(
     cutoff
         Wavelength that divides roughness from form, in mm (ISO 4288).
     out
-        Folder for profile.csv.
+        Folder for profile.csv and profile.svg.
 
     Returns
     -------
@@ -54,9 +59,10 @@ def profile(
     from splitknit.io.atomic import atomic_folder, write_file
     from splitknit.io.csv_table import csv_text
     from splitknit.io.results import read_result
-    from splitknit.report.surface import section, surface_in
+    from splitknit.report.surface import section, section_svg, surface_in
 
     surface = surface_in(read_result(Path(result)))
+    text = surface.unit.text
     require(surface.unit.known, f"{result} has heights in pixels; reconstruct it with `px_per_mm`.")
     cut = section(surface, start, end)
     step_mm = float(cut.along_mm[1])
@@ -67,21 +73,20 @@ def profile(
     cells = [["" if np.isnan(value) else f"{value:.4f}" for value in row] for row in rows]
     with atomic_folder(Path(out)) as folder:
         write_file(folder / "profile.csv", csv_text([columns, *cells]).encode("ascii"))
-    rise_mm, range_mm = float(cut.height_mm[-1] - cut.height_mm[0]), float(np.ptp(cut.height_mm))
-    facts = {"out": str(out), "cutoff_mm": cutoff, "step_mm": step_mm, **figures, **cut.figures}
-    facts["height_range_mm"] = range_mm
+        write_file(folder / "profile.svg", section_svg(cut).encode("utf-8"))
+    cut_facts = cut.figures
+    facts = {"out": str(out), "cutoff_mm": cutoff, "step_mm": step_mm, **figures, **cut_facts}
     lengths = figures["sampling_lengths"]
     few = f" ({lengths} sampling lengths, ISO 4288 wants 5)" if lengths < 5 else ""
-    ra, rz, rq = (_length(figures[name] / 1000.0) for name in ("Ra_um", "Rz_um", "Rq_um"))
-    heights = f"{_length(rise_mm)} from end to end, {_length(range_mm)} from lowest to highest"
+    ra, rz, rq = (text(figures[name] / 1000.0) for name in ("Ra_um", "Rz_um", "Rq_um"))
+    rise, flat, steep = (
+        text(cut_facts[name]) for name in ("height_difference_mm", "flat_mm", "steep_mm")
+    )
+    height = text(cut_facts["height_range_mm"], cut_facts["height_range_sd_mm"])
     lines = (
-        f"Height {heights}, over {cut.figures['flat_mm']:.2f} mm.",
+        f"Height {rise} from end to end, {height} from lowest to highest, over {flat}.",
+        *([STEEP_WALLS.format(steep)] if cut_facts["steep_mm"] else []),
         f"Ra {ra}, Rz {rz}, Rq {rq}, cut-off {cutoff:g} mm{few}.",
-        f"Written to {out}: profile.csv.",
+        f"Written to {out}: profile.csv, profile.svg.",
     )
     return Report(facts, lines)
-
-
-def _length(length_mm: float) -> str:
-    """A length in the unit in which it is read easily."""
-    return f"{1000.0 * length_mm:.3g} um" if abs(length_mm) < 1.0 else f"{length_mm:.3g} mm"

@@ -46,6 +46,16 @@ class LengthUnit:
             return self.small, self.small_per_mm
         return self.name, self.per_mm
 
+    def text(self, length_mm: float, sd_mm: float | None = None) -> str:
+        """A length in the unit in which it is read easily, and its standard deviation if known.
+
+        >>> MILLIMETRES.text(-1234.0), MILLIMETRES.text(2.5, 0.126)
+        ('-1230 mm', '2.5 ± 0.13 mm')
+        """
+        name, per_mm = self.fitting(abs(length_mm))
+        known = "" if sd_mm is None else f" ± {float(f'{per_mm * sd_mm:.2g}'):g}"
+        return f"{float(f'{per_mm * length_mm:.3g}'):g}{known} {name}"
+
     def heights(self, heights_mm: NDArray[np.float32]) -> NDArray[np.float32]:
         """An array of lengths in this unit; the same array where it is in mm already."""
         return heights_mm if self.known else heights_mm * np.float32(self.per_mm)

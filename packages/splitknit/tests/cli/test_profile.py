@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,21 +22,17 @@ def waves(tmp_path_factory) -> Path:
     result, _ = finger(px_per_mm=40.0, size=(60, 520), yaw_deg=0.0)
     x = (np.arange(520) - 259.5) / 40.0
     height = np.tile(0.1 * x + 0.01 * np.sin(2 * np.pi * x / 0.25), (60, 1)).astype(np.float32)
-    flat = dict.fromkeys(("ridge_mm", "shape_mm", "height_mm"), height)
-    mask = np.ones(height.shape, dtype=bool)
-    mask[:, :20] = False
-    normals = np.tile(np.float32([0, 0, 1]), (*mask.shape, 1)) * mask[..., None]
-    flat = {name: np.where(mask, field, np.float32(np.nan)) for name, field in flat.items()}
-    facts = {"material": "opaque"}
+    height[:20] += 3.0 * (x > 0.0)  # a wall
+    height[:, :20] = np.nan
+    mask = np.isfinite(height)
     out = tmp_path_factory.mktemp("waves") / "result"
-    none = {"uncertainty_um": None, "albedo": np.where(mask, np.float32(0.5), np.float32(np.nan))}
     replace(
         result,
-        **flat,
-        **none,
+        **dict.fromkeys(("ridge_mm", "shape_mm", "height_mm", "albedo"), height),
+        uncertainty_um=None,
         mask=mask,
-        normals=normals,
-        facts=facts,
+        normals=np.float32([0, 0, 1]) * mask[..., None],
+        facts={"material": "opaque", "height_factor_sd": 0.1},
         input_from_upright=np.eye(3),
     ).save(out)
     return out
@@ -52,7 +49,17 @@ def test_the_roughness_of_sine_waves_is_exact(waves, tmp_path, capsys):
     assert np.ptp(table["height_um"]) == pytest.approx(800, rel=0.05)
     assert np.nanstd(table["roughness_um"]) == pytest.approx(facts["Rq_um"], rel=0.01)
     assert facts["height_range_mm"] == pytest.approx(0.8, rel=0.05)
+    assert not facts["steep_mm"]
+    drawn = re.search('points="(.*?)"', (out / "profile.svg").read_text())[1]
+    assert drawn.count(",") == len(table)
     assert (waves / "surface.ply").is_file() and not (waves / "phalange.ply").exists()
+
+
+def test_the_height_of_a_wall_is_a_lower_limit_and_uncertain(waves, tmp_path, capsys):
+    assert main(f"profile {waves} -4,0.6 4,0.6 --out {tmp_path / 'profile'}".split()) == 0
+    height, limit, *_ = capsys.readouterr().out.splitlines()
+    assert "3.8 ± 0.38 mm from lowest" in height
+    assert "50 µm of the section are steeper" in limit
 
 
 @pytest.mark.parametrize(

@@ -32,35 +32,36 @@ def test_a_mailed_report_turns_and_measures_a_section(written, page, tmp_path):
     mailed = tmp_path / "mailed.html"
     mailed.write_bytes((written[0] / "report.html").read_bytes())
     page.open(mailed.as_uri())
-    pictures = [cv2.imread(str(page.picture("surface")))]
 
+    def shot(name):
+        return cv2.imread(str(page.picture(name))).astype(int)
+
+    pictures = [shot("surface")]
     page.slide("#exaggeration", 4)
-    pictures.append(cv2.imread(str(page.picture("relief"))))
+    pictures.append(shot("relief"))
     page.run("document.querySelector('canvas').focus()")
     page.press("\ue014", "+", "\ue013")
-    pictures.append(cv2.imread(str(page.picture("turned"))))
+    pictures.append(shot("turned"))
     page.find("input[value=light]").click()
     page.move_over("canvas", 150, -100)
-    pictures.append(cv2.imread(str(page.picture("lit"))))
+    pictures.append(shot("lit"))
     for before, after in itertools.pairwise(pictures):
-        assert np.abs(before.astype(int) - after).mean() > 0.5
+        assert np.abs(before - after).mean() > 0.5
 
     page.find("input[value=section]").click()
     page.click_at("canvas", 0, 60)
-    assert (
-        page.run("return document.getElementById('section-note').textContent")
-        == "Choose the other end."
-    )
+    note_of_section = "return document.getElementById('section-note').textContent"
+    assert page.run(note_of_section) == "Choose the other end."
     page.click_at("canvas", 0, -60)
     time.sleep(0.5)
-    note = page.run("return document.getElementById('section-note').textContent")
+    note = page.run(note_of_section)
     figures = re.fullmatch(
         r"Section from .* mm: ([\d.]+) mm long, ([\d.]+) \u00b5m from lowest to highest\.", note
     )
     assert figures is not None, note
     assert 1.0 < float(figures[1]) < 12.0
     page.find("#alone").click()
-    relief = page.run("return document.getElementById('section-note').textContent")
+    relief = page.run(note_of_section)
     # of the spiral, 60 um from valley to ridge
     assert 50.0 < float(relief.split(", ")[1].split()[0]) < 70.0
     assert page.run("return document.querySelectorAll('#section path').length") > 5

@@ -53,14 +53,14 @@ _NO_SURFACE = (
     " photograph by photograph."
 )
 _SAME_TURN_DEG = 20.0
-"""Largest angle between a frame of the lights and the turn that was found for it to be named."""
+"""Max angle between the estimated turn and a frame of the lights for that frame to be named."""
 _SAME_TURN = 2.0 * np.cos(np.deg2rad(_SAME_TURN_DEG))
 """Trace of the product of two turns that differ by `_SAME_TURN_DEG`. Source: derived."""
 _ONE_LIGHT = 0.03
 """Photographs of a finger that differ by less than this are under one light: 0.13 and more under
 their own. Chosen on: judgement. Range: up to 0.13."""
 SPOILT_DEG = 3.0
-"""From this turn of the normals on a surface is not worth having: on a simulated finger photographs
+"""A surface whose normals are turned by this angle is refused: on a simulated finger photographs
 that turn them by 3 to 11 deg cost up to 0.7 mm (``validation/damaged``). Chosen on: simulated
 fingers (validation/damaged)."""
 
@@ -75,18 +75,17 @@ class LightFit:
     residual_per_image: tuple[float, ...]
     """The same of every photograph."""
     order: tuple[int, ...]
-    """The light, from 0, that every photograph seems to be under; its own where nothing speaks
-    against it."""
+    """Estimated light of each photograph, from 0: its own unless the photographs contradict it."""
     residual_in_order: float
-    """What would be left in that order."""
+    """The residual in that order."""
     frame: str
     """Name in :data:`FRAMES`; ``right-up`` while the residual is high or an order is clearly
     better."""
     strange: int | None = None
     """The photograph that does not belong to the rest."""
     brightness: tuple[float, ...] = ()
-    """Of every light over what is stated of it, mean 1, where that explains the photographs far
-    better."""
+    """Brightness of every light relative to the stated one, mean 1, where it explains the
+    photographs far better."""
     turned_deg: float = 0.0
     """Median angle by which another order, brightness, or the strange photograph turns the
     normals."""
@@ -97,7 +96,7 @@ class LightFit:
 
     @property
     def in_order(self) -> bool:
-        """Whether every photograph seems to be under its own light."""
+        """Whether the estimated light of every photograph is its own."""
         return self.order == tuple(range(len(self.order)))
 
     @property
@@ -429,8 +428,9 @@ def _fit_turn(normals: FloatArray, inside: BoolArray) -> Array | None:
 
 
 def _relief_turn(normals: FloatArray, inside: BoolArray) -> tuple[Array | None, float]:
-    """The turn or mirroring (2, 2) of x and y that leaves the relief's slopes without curl, None
-    where none does or they have none; and how much of their change is curl now.
+    """The turn or mirroring (2, 2) of x and y after which the relief's slopes have no curl, None
+    where there is none or they have none already; and the fraction of their change that is curl at
+    present.
 
     A hollow is as free of curl as a hill: of the two the one that falls off towards its outline is
     returned, and where neither does, the one that leaves x to the right.
@@ -494,8 +494,8 @@ def _coarse_fraction(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:
 
 
 def _turned_order(lights: Array, turn: Array) -> NDArray[np.int64]:
-    """The light that each light falls on when all are turned; each itself where they fall on
-    none."""
+    """Index of the light at whose place each light lies after all are turned; their own where they
+    meet none."""
     units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
     turned = np.column_stack([units[:, :2] @ turn.T, units[:, 2]])
     apart = np.linalg.norm(units[:, None] - units, axis=2)

@@ -1,4 +1,4 @@
-"""Whether the LEDs stand where they are stated: height and middle of a finger's ring, fitted with
+"""Whether the LEDs stand at their stated places: height and middle of a finger's ring, fitted with
 the surface; places of near lights whose directions alone were stated, by the ground beside a thing.
 """
 
@@ -92,8 +92,8 @@ _DARKENING = 0.3
 """Fall of the logarithm of the albedo over 1 - n_z on sound fingers. Chosen on: simulated
 fingers."""
 _DARKENING_SD = 0.04
-"""Standard deviation of that fall: of 0.015, 0.04 and 0.12 the one with the narrowest heights on 80
-simulated fingers. Chosen on: simulated fingers (80)."""
+"""Standard deviation of that fall: among 0.015, 0.04 and 0.12 the one that scatters the estimated
+heights least on 80 simulated fingers. Chosen on: simulated fingers (80)."""
 _PLACES_NOISE = 0.005
 """Relative residual on sound fingers. Chosen on: simulated fingers."""
 _INDEPENDENT_PLACES = 60.0  # number of places whose residuals do not depend on each other
@@ -103,8 +103,8 @@ none, mm, mm."""
 _PLACES_STEPS = (0.02, 0.5, 0.5)
 """Steps of the numerical derivatives by the three unknowns, in none, mm, mm."""
 _PLACES_OF_SOUND = (0.0, 0.0, -1.5)
-"""What is fitted to sound fingers (mean of the three unknowns), which scattering and the finger's
-shape leave, in none, mm, mm. Chosen on: simulated fingers."""
+"""Mean of the three unknowns fitted to sound fingers, a bias by scattering and the finger's shape,
+in none, mm, mm. Chosen on: simulated fingers."""
 
 
 def fitted_places(  # noqa: PLR0917

@@ -42,10 +42,9 @@ from splitknit.photometric.equations import (
 from splitknit.photometric.forward import lamp_gains
 
 GLOSSY_LEFT = 0.1
-"""Light that the other photographs leave unexplained (:attr:`_Comparison.left`) from which the
-misfit is that of gloss, whose highlight moves: 0.13 and more on metal of which a photograph was
-taken for blurred or shifted, up to 0.04 on matt objects, 0.09 on lacquer. Source:
-validation/objects (glossy)."""
+"""Unexplained fraction of the light (:attr:`_Comparison.left`) above which gloss, whose highlight
+moves, causes the misfit: 0.13 and more on metal where a sound photograph seemed blurred or shifted,
+up to 0.04 on matt objects, 0.09 on lacquer. Source: validation/objects (glossy)."""
 OVEREXPOSED = (
     "{:.1f} % of the surface is overexposed in all photographs but two or fewer: its slopes there"
     " are unknown; photograph it again with a shorter exposure."
@@ -165,8 +164,8 @@ _UNLIKE_DEG = 0.5
 """Turn of the normals by a photograph that is unlike the rest, at least. Chosen on: real
 photographs (a bear and a sphere, 19 draws of 5 to 24 lights)."""
 _DOUBLE_LEAVES = 0.9
-"""Fraction of what a shift leaves that a double image may leave; else the photograph is shifted.
-Chosen on: simulated objects (4 domes under 5 to 8 lights). Range: 0.85 to 0.9."""
+"""A double image is named if it leaves less than this fraction of what a shift leaves unexplained;
+else a shift. Chosen on: simulated objects (4 domes under 5 to 8 lights). Range: 0.85 to 0.9."""
 
 
 def _lit_values(light: FloatArray, lights: FloatArray, ceilings: FloatArray) -> BoolArray:
@@ -350,8 +349,8 @@ def _smooth(image: FloatArray) -> FloatArray:
 
 
 def compared_pixels(band: Light, finger: Finger) -> tuple[int, BoolArray] | None:
-    """By how much photographs are reduced to be compared, and the object there; None where they are
-    not comparable."""
+    """Reduction of photographs before they are compared, and the object's mask at that scale; None
+    where they are not comparable."""
     values = band.photographs * finger.inside.size
     # values of all photographs that are compared with each other, at most; larger ones are binned
     binning = max(1, int(np.ceil(np.sqrt(values / 4_000_000))))

@@ -28,10 +28,10 @@ _RIDGES_LEVEL_MM = 0.35  # standard deviation of the Gaussian that is coarser th
 _JUDGED_RIM_MM = 1.5  # skin nearer to the outline is not judged
 _RIDGED_QUANTILE = 0.75  # quantile of the skin that surely has ridges: a plaster may cover half
 _BARE_CONTRAST = 0.45
-"""Part of the ridged skin's contrast below which skin is bare. With 0.5 one of 185 sound fingers, a
-glossy one, had a patch of 8 mm2; with 0.45 the largest has 2.5 mm2, and that of four path-traced
-fingers 3.5. Chosen on: simulated fingers (185 sound ones, then four path-traced ones). Range: 0.45
-to 0.5."""
+"""Fraction of the ridged skin's contrast below which skin is bare. With 0.5 one of 185 sound
+fingers, a glossy one, had a patch of 8 mm2; with 0.45 the largest has 2.5 mm2, and that of four
+path-traced fingers 3.5. Chosen on: simulated fingers (185 sound ones, then four path-traced ones).
+Range: 0.45 to 0.5."""
 _LEAST_BARE_MM2 = 4.0
 """Smallest bare patch that counts. Chosen on: simulated fingers (185 sound ones)."""
 _BARE_BEYOND_MM = 1.0

@@ -1,4 +1,5 @@
-"""Whether the camera answered in proportion to the light: colours, tone, local contrast, clipping.
+"""Whether the camera's values are proportional to the light: colours, tone, local contrast,
+clipping.
 
 Under L lights a matt pixel obeys I_k = l_k . b with its albedo times normal b (3 numbers); what is
 left over is the same for all pixels where it is a gain of an image. Gains that differ between
@@ -78,7 +79,7 @@ class ResponseDoubt(NamedTuple):
 
 
 class _Response(NamedTuple):
-    """How the L images of a band answer to the light."""
+    """Response of a band's L images to the light."""
 
     gains: Array
     directions: Array

@@ -1,5 +1,4 @@
-"""Some of the photographs' pixels, which are enough to ask whether they go together with their
-lights; and what every question needs."""
+"""A sample of the photographs' pixels, enough to check them against their lights."""
 
 from __future__ import annotations
 

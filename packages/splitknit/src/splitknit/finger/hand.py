@@ -33,7 +33,7 @@ def fingers_apart(
     mm around it; what is nearer to another finger there is filled with the background's brightness.
     Images, lights and camera are otherwise those of the view, in the frame of the part
     (:func:`splitknit.observation.crop.cropped`). Raises BadInput if another number of fingers
-    stands apart, the hand cannot be told by the tips, or the scale is unknown; without `keep`
+    stands apart, the tips do not show which hand it is, or the scale is unknown; without `keep`
     also if the tips are those of the other hand. `capture`: pads to the camera, tips up (or as
     `tip_direction_deg` says), background between them. `names`: of the fingers from left to right
     in the picture; or ``right``, ``left``: index to little finger of that hand; or ``auto``: the

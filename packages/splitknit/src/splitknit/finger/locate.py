@@ -46,8 +46,8 @@ from splitknit.plausible import FINGER_WIDTH
 from splitknit.settings import Checked
 
 MUCH_LEFT_OUT = 0.05
-"""Fraction of an object from which it is said to be left out: 0.3 of a key, 0 to 0.02 of rounder
-things. Source: validation/objects (glossy)."""
+"""Fraction of an object missing from its outline above which a doubt is raised: 0.3 on a key, 0 to
+0.02 on rounder things. Source: validation/objects (glossy)."""
 _NO_FINGER = (
     "no finger was found in the white images ({}): nothing stands out from the background in colour"
     " or brightness; check the exposure, the LEDs, the dark background and the scale, or give a"
@@ -259,8 +259,8 @@ def _outline(
 
 
 def _whole_object(image: FloatArray, outline: BoolArray, px_per_mm: float) -> BoolArray | None:
-    """Another object than the outlined one, which touches a border, that touches none and is not
-    much smaller; None where there is none."""
+    """An object that touches no border and is not much smaller than the outlined one, which touches
+    one; None without."""
     beside = dilate(outline, 0.05 * max(outline.shape))
     ground = np.median(image[~beside], axis=0) if not beside.all() else 0.0
     covered = beside if image.ndim == 2 else beside[..., None]

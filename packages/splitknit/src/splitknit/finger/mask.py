@@ -147,13 +147,14 @@ _OBJECT_SPLITS = 3
 """How often the brighter part is split again while it touches a border of the image. Chosen on:
 drawn scenes (tests/finger/test_object.py)."""
 _MIN_OBJECT_STEP = 2.0
-"""An object is at least so many times as bright as what lies beyond its outline, in ratio. Chosen
-on: drawn scenes (tests/finger/test_object.py)."""
+"""Min ratio of an object's brightness to that beyond its outline. Chosen on: drawn scenes
+(tests/finger/test_object.py)."""
 MIN_OBJECT_CONTOUR = 0.9
-"""Least part of its outline along which it is. Chosen on: drawn scenes
+"""Min fraction of the outline along which that ratio holds. Chosen on: drawn scenes
 (tests/finger/test_object.py)."""
 _CONTOUR_REACH = 0.01
-"""How far on either side of its outline both are measured, in longer sides of the image."""
+"""Distance inside and outside the outline at which both are measured, in longer sides of the
+image."""
 _MIN_SHADING_DEG = 4.0
 """Least median angle between the brightness over the lights of an object's pixels and its mean, in
 degrees. Chosen on: drawn scenes (tests/finger/test_object.py)."""
@@ -201,8 +202,8 @@ def object_before_wall(stack: FloatArray) -> BoolArray | None:
 
 
 CLEARLY_BRIGHT = 4.0
-"""Brightness of an object over its ground from which what is left out of it shows: 9 to 80 on a
-dark ground. Source: validation/objects (glossy)."""
+"""Ratio of an object's brightness to its ground's above which missing parts are detected: 9 to 80
+on a dark ground. Source: validation/objects (glossy)."""
 
 
 def left_out_part(image: FloatArray, outline: BoolArray) -> float:

@@ -86,7 +86,7 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
 
 
 WARN_MM = 0.05
-"""Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
+"""Motion above this is reported: a ninth of a ridge period blurs the combined relief visibly."""
 MIN_RELIABILITY = 0.8
 """Motion of a shot with less reliability than this is ignored, in correlation. Chosen on:
 judgement. Range: 0.4 to 0.8 (validation/parameters)."""

@@ -63,8 +63,8 @@ class Flow:
 
 
 def still(count: int, mask: BoolArray, px_per_mm: float) -> Flow:
-    """No move of any of `count` shots of the finger under `mask` (H, W), about whose middle they
-    turn."""
+    """A flow without motion for `count` shots of the finger under `mask` (H, W), about whose middle
+    they turn."""
     rows, columns = bounding_box(mask)
     middle = np.array([part.start + part.stop - 1 for part in (columns, rows)])
     return Flow(np.zeros((count, 3)), 0.5 * middle / px_per_mm)

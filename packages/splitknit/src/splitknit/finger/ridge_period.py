@@ -26,7 +26,7 @@ class _RidgePeriod(NamedTuple):
     """Standard deviation of the median."""
     blocks: int
     part: float
-    """Of the blocks that were looked at, those with one wave."""
+    """Fraction of the examined blocks that hold a single wave."""
 
 
 _BLOCK_PX = 64

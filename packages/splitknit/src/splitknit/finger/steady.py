@@ -155,14 +155,13 @@ class _Registered(NamedTuple):
     """The same with the motion undone."""
     facts: dict[str, Any]
     apart: float
-    """Variance of the white shots' shifts that is left without shifts along their lights, over all
-    of it."""
+    """Fraction of the variance of the white shots' shifts that remains without shifts along their
+    lights."""
 
 
 _MIN_BESIDE_LIGHTS = 0.1
-"""Variance of the shots' shifts beside those along their lights, over all of it, below which
-shading moved the ridges, and not the finger; a steady drift has two thirds. Chosen on: path-traced
-fingers (one that lies still)."""
+"""Below this fraction (`apart`) the shifts follow the lights: shading moved the ridges, not the
+finger; a steady drift has two thirds. Chosen on: path-traced fingers (one that lies still)."""
 
 
 def _worth_undoing(registered: _Registered, measured_mm: float) -> bool:
@@ -179,8 +178,8 @@ def _worth_undoing(registered: _Registered, measured_mm: float) -> bool:
 def without_moved_side(
     observation: Observation, finger: Finger
 ) -> tuple[Observation, tuple[Finding, ...]]:
-    """The observation, without images lit from the side where the finger lay elsewhere than a matt
-    surface like the others shows, all or some of them, and a warning then.
+    """Leave out images lit from the side during which the finger lay elsewhere, all or some of
+    them, by comparison with a matt surface that explains the others; and a warning then.
     """
     side = observation.side
     if side is None:
@@ -392,7 +391,7 @@ def _light_through(light: Light, coloured: bool) -> tuple[FloatArray, FloatArray
 
 
 def _steadied(observation: Observation, flows: dict[str, Flow]) -> Observation:
-    """The observation with every image taken from where its skin is."""
+    """The observation with every image resampled at the place of its skin."""
     px_per_mm = observation.rig.camera.px_per_mm
     for name, flow in flows.items():
         moves = [

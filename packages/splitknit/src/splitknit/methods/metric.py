@@ -97,11 +97,10 @@ NO_WHITE = (
 
 
 def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
-    """The `metric` method for what does not scatter light inside: near lights, robust weights,
-    masked integration.
+    """The `metric` method for opaque things: near lights, robust weights, masked integration.
 
-    A near-infrared band, where there is one, gives the shape by a crossover of frequencies. Of
-    things that shine, a lobe of gloss is fitted with the normals.
+    A near-infrared band, where there is one, gives the shape by a crossover of frequencies. On
+    glossy things a lobe of gloss is fitted together with the normals.
     """
     slopes, albedo, normals, gloss = near_slopes(white, p.photometry.normals, p.height)
     findings = (*doubt_of_walls(*slopes, white.inside), *note_of_gloss(gloss))
@@ -222,9 +221,9 @@ SIDE_ROUNDS = 3
 """Estimates of the relief behind films with lights to the side: the second refinement of the shape
 adds a seventh of the first, a third hardly anything. Surfaces of nine simulated fingers differ by
 -1.8 [-3.2, -0.4] um of 51, ridges below 60 deg by +0.07 [-0.10, 0.25] um of 4.6; the surface of a
-path-traced one by -5 um of 24. With front lights alone it may lead astray (docs/explain/tried.md).
-Chosen on: simulated fingers (seeds 8101 to 8105 of validation/path_traced/polarised.py; on 7101,
-7102, 7107 and 7108 nothing was). Range: 3 to 4."""
+path-traced one by -5 um of 24. With front lights alone a third may worsen the surface
+(docs/explain/tried.md). Chosen on: simulated fingers (seeds 8101 to 8105 of
+validation/path_traced/polarised.py, not 7101, 7102, 7107 and 7108). Range: 3 to 4."""
 UNKNOWN_MM = 0.02  # standard deviation of the relief where no network gives a first one
 FAINT = 3.0  # specular reflection over noise below which heights do not follow from it
 
@@ -266,8 +265,8 @@ def metric_polarised(
 WHITE_ROUGHNESS = 0.45
 """Roughness up to which white light shows ridges better than the front lights alone."""
 WHITE_SCATTERED = 10.0
-"""Scattered over specular light up to which white light shows ridges better: of eight fingers one
-is worse beyond each of both limits."""
+"""Scattered over specular light up to which white light shows ridges better: beyond either limit
+one of eight fingers gets worse."""
 RED_PART = 0.5
 """Part of the red light, in the colour of the skin, that is taken from the blue to leave white
 light. Chosen on: path-traced fingers (validation/path_traced/polarised.py). Range: 0.3 to 0.65."""
@@ -284,7 +283,8 @@ def metric_side(
     """The `metric` method under lights to the side, without films.
 
     As :func:`metric_polarised`, but the specular image is what is white in the photographs, with
-    light of short paths in the skin, and gives of the shape only what is finer than `SHAPE_MM`.
+    light of short paths in the skin, and contributes to the shape only detail finer than
+    `SHAPE_MM`.
 
     `images`: whose `side` is not None, and `crossed` None.
     """
@@ -396,7 +396,7 @@ def relief_and_shape(
 
 
 def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
-    """The surface of a thing that scatters no light inside."""
+    """The surface of an opaque thing."""
     white, nir = photographs.white_and_nir(settings, settings.metric.plane_mm)
     parameters = settings.parameters(bool(white.light.colours), white.material)
     surface = metric_opaque(white, nir, parameters)

@@ -27,7 +27,7 @@ from splitknit.reconstruction import UNKNOWN_SCALE, Reconstruction
 from splitknit.settings import check_value
 
 PRESET = "normals"
-"""In place of a preset's name, of a surface whose normals were given."""
+"""Preset named in results that were integrated from a normal map."""
 
 
 def surface_of_normals(
@@ -119,7 +119,8 @@ _MAX_SLOPE = 20.0
 """Steeper slopes are shortened to this (87 deg). Chosen on: the scans of two objects, whose normals
 had a noise of 0 to 13 deg; 6 takes five times the error at 0. Range: 20 to 100."""
 _CLEARLY = 1.5
-"""By how much less curl y down must leave than y up, or y up than y down, to decide."""
+"""Ratio of the curl with y up to that with y down, or the reverse, from which the direction of y is
+decided."""
 
 
 def curl_ratio(normals: FloatArray, inside: BoolArray) -> float:

@@ -1,5 +1,5 @@
-"""The forward model of photographs of a thing that scatters no light inside: what every pixel's
-light depends on, and how well it explains them.
+"""The forward model of photographs of an opaque thing: what every pixel's light depends on, and how
+well the model explains the photographs.
 
 A surface of tiny facets sends light to the camera where the facets' normals halve the angle between
 light and view (K. E. Torrance and E. M. Sparrow, JOSA 57, 1967). With the lamp's gain its
@@ -39,9 +39,9 @@ _STILL_RAD = 1e-4  # mean step of the normals from which a fit has converged
 _GRAZING = 0.05  # cosine below which a light may be in attached shadow, or a surface is unseen
 _MATT_MISFIT = 0.01  # relative deviation up to which a matt model explains the photographs
 GLOSS_LEAVES = 0.7
-"""A lobe leaves less than this part of the matt model's misfit where a thing shines: 0.02 to 0.33
-on metal, lacquer and wax, rendered (validation/objects, glossy) and photographed, 0.68 on
-DiLiGenT's bear, whose normals come out 0.9 deg nearer."""
+"""A thing is glossy where a lobe lowers the misfit of the matt model below this fraction of it:
+0.02 to 0.33 on metal, lacquer and wax, rendered (validation/objects, glossy) and photographed, 0.68
+on DiLiGenT's bear, whose normals come out 0.9 deg nearer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +65,7 @@ class Explanation:
     lobe: FloatArray
     """(K,) as of :class:`Gloss`; zeros of a matt surface."""
     gains: FloatArray
-    """(L,) logarithm of the lamps' brightness over what is stated of it, mean zero."""
+    """(L,) logarithm of the lamps' brightness relative to the stated one, mean zero."""
     misfit: float
     """Relative (robust) deviation of the photographs from the model."""
 

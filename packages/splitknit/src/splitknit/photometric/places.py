@@ -2,10 +2,10 @@
 matt ground reflects, in one fit.
 
 Coordinates are mm, x right, y up, z to the camera; the ground is z = 0, and photographs are seen on
-it. What each piece of evidence leaves open, the others state. Glints on one ball give directions,
-and their heights hang on the ball's radius; glints on two balls give places, up to a factor that
-the radii and the camera's centre share; the ground gives distances, up to a bas-relief. Lights
-usually sit on a dome, which is a prior.
+it. The three kinds of evidence complete each other. Glints on one ball give directions, and their
+heights hang on the ball's radius; glints on two balls give places, up to a factor that the radii
+and the camera's centre share; the ground gives distances, up to a bas-relief. Lights usually sit on
+a dome, which is a prior.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class MattGround:
     """(L, P) where a value is neither clipped nor in shadow."""
 
     observations: float = 20.0
-    """What a light's photograph of the ground is worth in independent observations: its points
-    share one reflectance that is not quite matt."""
+    """Number of independent observations that one light's photograph of the ground counts as: its
+    points share one reflectance, which is not quite matt."""
 
     @classmethod
     def of(cls, points_mm: Array, values: Array) -> MattGround:
@@ -308,8 +308,8 @@ def plain_ground(
 
 
 def like_ground(values: Array, pixels: Array, image_size: tuple[int, int]) -> BoolArray:
-    """(P,) which of some pixels (P, 2; column, row) with values (L, P) are about as bright as most
-    of them, and not too far from the picture's middle."""
+    """(P,) whether pixels (P, 2; column, row) with values (L, P) are about as bright as most of
+    them, and near enough to the picture's middle."""
     level = np.log(np.maximum(values.max(axis=0), 1e-6))  # noise may be negative
     off = pixels - (np.array(image_size[::-1]) - 1) / 2
     near = np.hypot(*off.T) < _GROUND_REACH * min(image_size)

@@ -1,5 +1,5 @@
-"""The pictures of the report, each with a caption that explains what is seen and what good looks
-like."""
+"""The pictures of the report. What is seen on each, and what good looks like, stands in
+``templates/words.html``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from splitknit.io.pictures import (
 from splitknit.model import BoolArray, FloatArray
 from splitknit.observation.films import picture_bytes
 from splitknit.reconstruction import Reconstruction
-from splitknit.report.photos import Picture, captioned, colour_bar, is_finger
+from splitknit.report.photos import Picture, captioned, colour_bar, is_finger, round_step
 from splitknit.units import MILLIMETRES
 
 if TYPE_CHECKING:
@@ -67,26 +67,15 @@ def _normals_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     turn = upright_turn(result.input_from_upright).astype(np.float32)
     level = np.einsum("ij,hwj->hwi", turn, small.normals[..., :2])
     upright = np.concatenate([level, small.normals[..., 2:]], axis=-1)
-    details = "details as fine lines on top, and no blotches."
-    up = "upwards"
-    if is_finger(result):
-        details = "the ridges as fine lines on top, and no blotches."
-        up = "to the tip"
-    return captioned(
-        "Surface normals",
-        on_paper(normal_colours(upright), small.weight),
-        f"Direction of the surface: red grows to the right, green {up}, blue towards the camera. "
-        f"Good: colours change smoothly, with {details}",
-        small.frame.pitch_mm,
-    )
+    picture = on_paper(normal_colours(upright), small.weight)
+    return captioned("Surface normals", picture, pitch_mm=small.frame.pitch_mm)
 
 
-def _field_picture(  # noqa: PLR0917
+def _field_picture(
     title: str,
     field: tuple[FloatArray, FloatArray],
     limits: tuple[float, float],
     unit: str,
-    caption: str,
     pitch_mm: float,
     *,
     diverging: bool = False,
@@ -94,34 +83,20 @@ def _field_picture(  # noqa: PLR0917
     """A field (h, w) with its weight in the colours of a scale between `limits`."""
     values, weight = field
     legend = colour_bar(*limits, unit, diverging=diverging)
-    return captioned(
-        title,
-        on_paper(colour(values, *limits, diverging=diverging), weight),
-        caption,
-        pitch_mm,
-        legend,
-    )
+    picture = on_paper(colour(values, *limits, diverging=diverging), weight)
+    return captioned(title, picture, pitch_mm=pitch_mm, legend=legend)
 
 
 def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the ridges and valleys in micrometres, or in pixels where the scale is unknown."""
     weight = small.weight
-    caption = (
-        "Height of the ridges above their surroundings, without the shape of the finger. Yellow is"
-        " high. Good: even, unbroken ridges from edge to edge, some 40 to 100 µm from valley to"
-        " top."
-    )
     if not is_finger(result):
-        caption = (
-            "Height of fine details above their surroundings, without the shape; the rim is left"
-            " out. Yellow is high."
-        )
         weight = _without_rim(weight > 0) * weight
     low_mm, high_mm = relief_limits(result)
     name, per_mm = result.unit.fitting(high_mm - low_mm)
     limits = per_mm * low_mm, per_mm * high_mm
     relief = per_mm * small.ridge_mm, weight
-    return _field_picture("Relief", relief, limits, name, caption, small.frame.pitch_mm)
+    return _field_picture("Relief", relief, limits, name, small.frame.pitch_mm)
 
 
 _DETAIL = 1 / 20
@@ -181,8 +156,7 @@ def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     top = float(np.percentile(values[weight > 0.5], 99.9))
     depth = values - top
     low = float(np.percentile(depth[weight > 0.5], 0.5))
-    tens = 10.0 ** float(np.floor(np.log10(max(-low, 1e-6))))
-    step = tens / 2 if -low > 3 * tens else tens / 5 if -low > 1.5 * tens else tens / 10
+    step = round_step(max(-low, 1e-6) / 6)
     picture = colour(depth, low, 0.0)
     level = np.floor(depth / step).astype(np.float32)
     line = cv2.morphologyEx(level, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8)) > 0
@@ -190,16 +164,7 @@ def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     return captioned(
         "Shape",
         on_paper(picture, weight),
-        (
-            "Height of the finger without its ridges, below its highest point; a line every"
-            f" {step:g} {unit.name}. Good: smooth, rounded contours that close towards the tip,"
-            " with no dents and no waves at the edge."
-            if is_finger(result)
-            else (
-                f"Height without fine details, below the highest point; a line every {step:g}"
-                f" {unit.name}."
-            )
-        ),
+        f"A line every {step:g} {unit.name}.",
         small.frame.pitch_mm,
         colour_bar(round(low, 1), 0.0, unit.name),
     )
@@ -212,36 +177,13 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
     known = result.mask & np.isfinite(result.uncertainty_um)
     if not known.any():
         return None
-    title = "Uncertainty of the relief"
-    caption = (
-        "Skin blurs what light shows of the ridges, and specular reflection covers it; both are"
-        " undone as far as simulated skin teaches it. This is the standard deviation (one sigma) of"
-        " what is left. Good: small against the relief."
-    )
-    if not is_finger(result):
-        title = "Uncertainty of the heights"
-        caption = (
-            "Standard deviation (one sigma) of the heights, as far as it is known. Good: small"
-            " against them."
-        )
-    elif result.facts.get("heights") == "measured":
-        caption = (
-            "Ridges are measured by what the skin's surface reflects, which shows least where the"
-            " finger turns away. This is the standard deviation (one sigma) of their height. Good:"
-            " small against the relief."
-        )
-    optics = result.facts.get("optics", {})
-    if optics.get("relief_by") == "network" and "gain_uncertainty" in optics:
-        caption += (
-            " It includes a common factor of all heights, whose standard deviation is"
-            f" {100 * optics['gain_uncertainty']:.0f} %."
-        )
-    values, weight = to_frame(result.uncertainty_um, known, small.frame)
-    high = float(np.percentile(values[weight > 0.5], 98))
-    picture = on_paper(colour(values, 0.0, high), weight)
-    name, per_mm = MILLIMETRES.fitting(high / 1000)
-    legend = colour_bar(0.0, float(f"{per_mm * high / 1000:.2g}"), name)
-    return captioned(title, picture, caption, small.frame.pitch_mm, legend)
+    title = f"Uncertainty of the {'relief' if is_finger(result) else 'heights'}"
+    deviation_mm, weight = to_frame(result.uncertainty_um / 1000, known, small.frame)
+    high_mm = float(np.percentile(deviation_mm[weight > 0.5], 98))
+    name, per_mm = MILLIMETRES.fitting(high_mm)
+    field = per_mm * deviation_mm, weight
+    limits = 0.0, float(f"{per_mm * high_mm:.2g}")
+    return _field_picture(title, field, limits, name, small.frame.pitch_mm)
 
 
 def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:
@@ -253,11 +195,8 @@ def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | 
     )
     return captioned(
         "Specular image",
-        on_paper(picture_bytes(values)[..., None].repeat(3, axis=2), weight),
-        "What the surface itself reflects, under all lights: the parallel less the crossed images,"
-        " of even brightness. Bright flanks face half-way between camera and lights. Good: sharp,"
-        " unbroken ridges, pores as dots.",
-        small.frame.pitch_mm,
+        on_paper(picture_bytes(values)[..., None], weight),
+        pitch_mm=small.frame.pitch_mm,
     )
 
 
@@ -270,14 +209,8 @@ def _misfit_picture(result: Reconstruction, small: _SmallFields) -> Picture | No
     if result.misfit is None:
         return None
     field = to_frame(result.misfit, result.mask & np.isfinite(result.misfit), small.frame)
-    caption = (
-        "Part of the photographs' light that no matt surface with the given normals explains, rms"
-        " over rms. Yellow is much. Good: blue; gloss and shadows are yellow too."
-    )
     limits = 0.0, MISFIT
-    return _field_picture(
-        "Misfit of the normal map", field, limits, "", caption, small.frame.pitch_mm
-    )
+    return _field_picture("Misfit of the normal map", field, limits, "", small.frame.pitch_mm)
 
 
 FIELD_PICTURES = (
@@ -299,27 +232,12 @@ def view_from_above(small: _SmallFields) -> ColourArray:
     return np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8)
 
 
-def picture_from_above(view: ColourArray, pitch_mm: float, finger: bool) -> Picture:
-    """Show the surface of :func:`view_from_above`; `pitch_mm` is the size of a pixel."""
-    good = "Good: rounded like a finger, ridges even from edge to edge, no bumps or waves."
-    if not finger:
-        good = "Good: no bumps or waves that the object does not have."
-    return captioned(
-        "From above", view, f"Measured surface, lit from the upper left. {good}", pitch_mm
-    )
-
-
 def print_picture(prints: NDArray[np.uint8]) -> Picture:
     """Show the print, cut to the finger."""
     dark = prints < 250
     if dark.any():
         prints = prints[bounding_box(dark, 8)]
-    caption = (
-        "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an"
-        " inch. "
-    )
-    caption += "Good: dark, separate ridges with clear endings and forks up to the edge."
-    return captioned("Print", prints, caption, 25.4 / 500)
+    return captioned("Print", prints, pitch_mm=25.4 / 500)
 
 
 def error_pictures(
@@ -330,26 +248,12 @@ def error_pictures(
     errors = []
     for result, comparison in zip(results, comparisons, strict=True):
         surface_mm = comparison.height_error_mm
-        errors.append(
-            signed(
-                f"Surface error, {result.preset}",
-                to_frame(surface_mm, np.isfinite(surface_mm), frame),
-                (-0.5, 0.5),
-                "mm",
-                "Measured minus true height, mean removed. Blue is too low, orange too high; white"
-                " is right.",
-            )
-        )
-        errors.append(
-            signed(
-                f"Ridge error, {result.preset}",
-                to_frame(comparison.ridge_error_um, comparison.band, frame),
-                (-50.0, 50.0),
-                "µm",
-                "Measured minus true relief where the finger's slant is below 60 deg. Ridges that"
-                " are seen here are ridges of the wrong height; white is right.",
-            )
-        )
+        surface = to_frame(surface_mm, np.isfinite(surface_mm), frame)
+        ridges = to_frame(comparison.ridge_error_um, comparison.band, frame)
+        errors += [
+            signed(f"Surface error, {result.preset}", surface, (-0.5, 0.5), "mm"),
+            signed(f"Ridge error, {result.preset}", ridges, (-50.0, 50.0), "µm"),
+        ]
     return errors
 
 

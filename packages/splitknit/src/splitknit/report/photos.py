@@ -1,5 +1,4 @@
-"""Pictures with captions, and what the camera saw: the mean white image with what was found in
-it."""
+"""What the camera saw: the mean of the white images with the outline, and all photographs."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from splitknit.capture import Band, Capture
 from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, colour, data_uri, upright_limits
-from splitknit.model import PixelArray
+from splitknit.model import FloatArray, PixelArray
 from splitknit.reconstruction import Reconstruction
 
 _NO_LEGEND = Markup("")
@@ -43,7 +42,7 @@ def is_finger(result: Reconstruction) -> bool:
 def captioned(
     title: str,
     image: NDArray[np.uint8],
-    caption: str,
+    caption: str = "",
     pitch_mm: float = 0.0,
     legend: Markup = _NO_LEGEND,
 ) -> Picture:
@@ -51,8 +50,7 @@ def captioned(
     with a legend are stored without loss, all others as JPEG.
     """
     height, width = image.shape[:2]
-    lengths_mm = (200.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5)
-    bar_mm = next((length for length in lengths_mm if length < 0.45 * width * pitch_mm), 0.0)
+    bar_mm = round_step(0.45 * width * pitch_mm) if pitch_mm else 0.0
     return Picture(
         title=title,
         # HTML has to escape nothing in it
@@ -66,17 +64,26 @@ def captioned(
     )
 
 
+def round_step(limit: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that does not exceed `limit`.
+
+    >>> round_step(0.45), round_step(73.0)
+    (0.2, 50.0)
+    """
+    ten = float(10.0 ** np.floor(np.log10(limit)))
+    return max(float(f"{digit * ten:.1g}") for digit in (1, 2, 5) if digit * ten <= limit)
+
+
 def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -> Markup:
     """A bar that explains :func:`splitknit.io.pictures.colour`."""
-    shades = colour(
-        np.linspace(0.0, 1.0, 17, dtype=np.float32)[None], 0.0, 1.0, diverging=diverging
-    )[0]
+    fractions = np.linspace(0.0, 1.0, 17, dtype=np.float32)
+    shades = colour(fractions, 0.0, 1.0, diverging=diverging)
     stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in shades)
     return Markup(
         '<div style="max-width:220px"><div'
         f' style="height:10px;background:linear-gradient(90deg,{stops})"></div><div'
-        f' style="display:flex;justify-content:space-between;font-size:11px"><span>{low:.3g}</span>'
-        f"<span>{(low + high) / 2:.3g} {unit}</span><span>{high:.3g}</span></div></div>"
+        f' style="display:flex;justify-content:space-between;font-size:11px"><span>{low:.4g}</span>'
+        f"<span>{(low + high) / 2:.4g} {unit}</span><span>{high:.4g}</span></div></div>"
     )
 
 
@@ -103,28 +110,25 @@ def small_images(band: Band) -> PixelArray:
     return np.stack(small).reshape(len(small), size[1], size[0], -1)
 
 
-def _mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
-    """Mean of the white images for people, `size` (columns, rows)."""
-    pixels = capture.bands["white"].pixels
-    total = np.zeros((size[1], size[0], 3), dtype=np.float32)
-    # sampled linearly: the images' mean averages noise, and ridges are wider than a pixel of it
-    for image in pixels:
-        small = np.asarray(
-            cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32
-        )
-        total += small.reshape(size[1], size[0], -1)
-    total /= len(pixels) * float(np.iinfo(pixels.dtype).max)
-    brightest = max(float(np.percentile(total, 99.7)), 1e-6)
+def _mean_image(capture: Capture) -> ColourArray:
+    """Mean of the white images for people."""
+    band = capture.bands["white"]
+    level = small_images(band).mean(axis=0, dtype=np.float32)
+    return _shown(level / max(float(np.percentile(level, 99.7)), 1e-6), capture)
+
+
+def _shown(level: FloatArray, capture: Capture) -> ColourArray:
+    """Levels (h, w) or (h, w, C), 1 = white, for people."""
     gamma = 1.0 / 2.2 if capture.encoding == "linear" else 1.0
-    picture: ColourArray = np.round(255 * np.clip(total / brightest, 0.0, 1.0) ** gamma).astype(
-        np.uint8
-    )
-    return np.ascontiguousarray(picture)
+    code = np.round(255 * np.clip(level, 0.0, 1.0) ** gamma).astype(np.uint8)
+    return np.atleast_3d(code) * np.ones(3, dtype=np.uint8)
 
 
-def capture_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
-    """What was found in the images: the finger, and the mirrors' views where the shape came from
-    them."""
+def capture_pictures(result: Reconstruction, capture: Capture | None) -> list[Picture]:
+    """The outline on the photographs, the mirrors' views where the shape came from them, and the
+    photographs; none without a capture."""
+    if capture is None:
+        return []
     pictures = [_mask_on_image(result, capture), _contact_sheet(capture)]
     drawing = result.facts.get("mirror_drawing")
     if drawing is not None:
@@ -136,33 +140,24 @@ def _contact_sheet(capture: Capture) -> Picture:
     """All photographs, small, in the order of their bands and lights, each as bright as its sensor
     saw it."""
     images = [image for band in capture.bands.values() for image in band.pixels]
-    gamma = 1.0 / 2.2 if capture.encoding == "linear" else 1.0
     across = min(4, len(images))
     width = LONGEST_PX // across
     size = (width, max(1, width * images[0].shape[0] // images[0].shape[1]))
-    sheet = np.full((-(-len(images) // across) * size[1], across * width, 3), 255, dtype=np.uint8)
-    for number, image in enumerate(images):
-        level = cv2.resize(image, size, interpolation=cv2.INTER_AREA) / float(
-            np.iinfo(image.dtype).max
-        )
-        top = number // across * size[1]
-        left = number % across * width
-        sheet[top : top + size[1], left : left + width] = np.round(
-            255 * level.reshape(*size[::-1], -1) ** gamma
-        )
+    shots = []
+    for image in images:
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        shots.append(_shown(small / np.float32(np.iinfo(image.dtype).max), capture))
+    shots += [np.full_like(shots[0], 255)] * (-len(shots) % across)
+    sheet = np.vstack([np.hstack(shots[n : n + across]) for n in range(0, len(shots), across)])
     named = "; ".join(f"{len(band.pixels)} {name}" for name, band in capture.bands.items())
-    return captioned(
-        "Photographs",
-        sheet,
-        f"In the order of the capture, row by row: {named}. Good: sharp, none black, none white.",
-    )
+    return captioned("Photographs", sheet, f"{named}." if len(capture.bands) > 1 else "")
 
 
 def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
     """Show the mean white image as the camera saw it, with the mask's outline, the cut and the
     finger's axis."""
     size, scale = _fitting(result.mask.shape)
-    picture = _mean_image(capture, size)
+    picture = _mean_image(capture)
 
     inside = (
         cv2.resize(result.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
@@ -186,30 +181,19 @@ def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
         _line(picture, scale * np.asarray(crease, dtype=np.float64), BLUE, 2)
     pitch_mm = result.pitch_mm / scale
     if not finger:
-        caption = (
-            "Mean of the images, as the camera saw it. Orange: the outline of what was measured."
-            " Good: the outline follows the object closely and holds neither background nor shadow."
-        )
-        return captioned("Outline", picture, caption, pitch_mm)
-    cut = "No crease was cut. "
+        return captioned("Outline", picture, pitch_mm=pitch_mm)
+    cut = "No crease was cut."
     if crease is not None:
-        cut = "Dark blue: the flexion crease at which the phalange was cut. "
-    return captioned(
-        "Finger found",
-        picture,
-        "Mean of the white-light images, as the camera saw it. Orange: the outline of the skin"
-        f" that was used. Pale blue: the finger's axis, with a dot at the tip. {cut}Good: the"
-        " outline follows the finger closely and holds neither background nor shadow.",
-        pitch_mm,
-    )
+        cut = "Dark blue: the flexion crease at which the phalange was cut."
+    return captioned("Finger found", picture, cut, pitch_mm)
 
 
 def _mirror_picture(
     result: Reconstruction, capture: Capture, drawing: Mapping[str, Any]
 ) -> Picture:
     """The mean image with the outlines in every view, where the shape came from mirrors."""
-    size, scale = _fitting(capture.shape)
-    picture = _mean_image(capture, size)
+    _, scale = _fitting(capture.shape)
+    picture = _mean_image(capture)
     for name, shade in (("mirrors", (120, 120, 120)), ("masks", ORANGE), ("medial_lines", SKY)):
         for line in drawing[name].values():
             _line(
@@ -222,15 +206,7 @@ def _mirror_picture(
     for outline in drawing["fitted"].values():
         for place in np.round(scale * np.array(outline, dtype=np.float64)).astype(int).tolist():
             cv2.circle(picture, place, 2, BLUE, -1, cv2.LINE_AA)
-    return captioned(
-        "Views in the mirrors",
-        picture,
-        "The finger itself and its mirror images. Orange: the outline found in each view. Pale"
-        " blue: medial lines. Dark blue dots: the outline of the fitted finger, seen in the mirrors"
-        " where they were found. Grey: where the rig file has the mirrors. Good: the dots lie on"
-        " the orange lines.",
-        result.pitch_mm / scale,
-    )
+    return captioned("Views in the mirrors", picture, pitch_mm=result.pitch_mm / scale)
 
 
 def _line(

@@ -7,8 +7,6 @@ input.
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -27,7 +25,7 @@ from splitknit.io.atomic import atomic_folder, make_folder, write_file
 from splitknit.io.images import write_float_tiff, write_image
 from splitknit.io.pictures import ColourArray, colour, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
-from splitknit.io.provenance import plain_json, provenance, report_head
+from splitknit.io.provenance import json_text, plain_json, provenance, report_head
 from splitknit.io.results import (
     albedo_bytes,
     normals_picture,
@@ -41,30 +39,11 @@ from splitknit.observation.films import picture_bytes
 from splitknit.reconstruction import Reconstruction
 from splitknit.report import figures, template
 from splitknit.report.figures import Truth
-from splitknit.report.photos import LONGEST_PX, capture_pictures, is_finger
+from splitknit.report.photos import LONGEST_PX, captioned, capture_pictures, is_finger
 from splitknit.report.surface import scene_of
 
 if TYPE_CHECKING:
     from splitknit.accuracy import Comparison
-
-_COMPARED = (
-    ("surface_rms_mm", "Whole surface, rms", "mm", "below 0.13 mm"),
-    ("shape_rms_mm", "Shape without ridges, rms", "mm", "below 0.13 mm"),
-    ("normals_mean_deg", "Normals, mean angle", "deg", "small"),
-    ("ridge_correlation", "Ridge band, correlation", "", "above 0.85"),
-    ("ridge_gain", "Ridge band, gain", "", "0.6 to 1.4, ideally 1"),
-    ("ridge_rms_um", "Ridge band, rms", "µm", "small"),
-    ("ridge_truth_std_um", "Ridge band of the truth, standard deviation", "µm", ""),
-    ("ridge_good_area", "Area where the local ridge correlation exceeds 0.8", "", "above 0.90"),
-    ("height_band_correlation", "Ridge band of the whole height, correlation", "", ""),
-    ("height_band_gain", "Ridge band of the whole height, gain", "", ""),
-    ("mask_on_finger", "Fraction of the mask that lies on the finger", "", "above 0.99"),
-)
-"""Figure, words, unit, what good looks like."""
-
-
-_OF_FINGERS = ("crease_found", "crease_distance_mm", "crease_line", "tip_direction", "heights")
-"""Facts that the page of an opaque thing leaves out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +60,7 @@ class Report:
         """Write ``report.html`` and ``report.json``, which lists `files`, and return the facts."""
         facts = {**self.facts, "files": list(files)}
         write_file(folder / "report.html", self.html.encode("utf-8"))
-        write_file(
-            folder / "report.json",
-            (json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"),
-        )
+        write_file(folder / "report.json", json_text(facts).encode("utf-8"))
         return facts
 
 
@@ -103,14 +79,14 @@ def make_report(
     finger = is_finger(result)
     results = (result, *others)
     shown = result if finger else figures.details_of_object(result)
-    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+    with ThreadPoolExecutor(4) as pool:
         printing = pool.submit(surface_print, result, PRINT_PPI) if is_printed(result) else None
         page = pool.submit(template, "report.html")
         frame = upright_frame(result, LONGEST_PX)
         small = figures.small_fields(shown, frame)
         drawn = pool.submit(figures.view_from_above, small)
         surfaces = pool.submit(scene_of, shown, f"{result.preset}: drag to turn, wheel to zoom")
-        photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
+        photographs = pool.submit(capture_pictures, result, capture)
         fields = [pool.submit(draw, shown, small) for draw in figures.FIELD_PICTURES]
         comparisons: list[Comparison] = []
         if truth is not None:
@@ -118,48 +94,22 @@ def make_report(
 
             comparisons = [compare(each, truth) for each in results]
         facts = _facts(result, capture, comparisons)
-        summary = _summary(shown)
-        maps = [] if photographs is None else photographs.result()
-        maps += [picture for job in fields if (picture := job.result()) is not None]
+        maps = [picture for job in fields if (picture := job.result()) is not None]
         prints = None if printing is None else printing.result()
         above = drawn.result()
-    hidden = ("mirror_drawing",) if finger else _OF_FINGERS
-
     html = page.result().render(
-        title=title or ("3D fingerprint" if finger else "Surface"),
+        title=title,
         finger=finger,
-        scale_known=result.unit.known,
-        unit="millimetres" if result.unit.known else "pixels: its scale is unknown",
+        unit=result.unit,
         facts=facts,
-        summary=summary,
+        **_summary(shown),
         warnings=[f"{SEVERITY_WORDS[finding.severity]}: {finding}" for finding in result.findings],
         scene=surfaces.result(),
-        above=figures.picture_from_above(above, frame.pitch_mm, finger),
+        above=captioned("From above", above, pitch_mm=frame.pitch_mm),
         prints=None if prints is None else figures.print_picture(prints),
-        maps=maps,
-        details={
-            "Quality of the capture": _tables(facts["quality"]),
-            "What was found and assumed": _tables(
-                {name: fact for name, fact in facts["facts"].items() if name not in hidden}
-            ),
-            "Capture": _tables({name: fact for name, fact in facts["capture"].items() if fact}),
-            "Timings, s": _tables(
-                {
-                    "object" if stage == "finger" and not finger else stage: round(seconds, 2)
-                    for stage, seconds in result.timings_s.items()
-                }
-            ),
-            "Settings": _tables(facts["settings"]),
-            "Files that were read, with their SHA-256": [
-                {"name": "", "rows": list(facts["inputs_sha256"].items())}
-            ],
-        },
+        maps=[*photographs.result(), *maps],
+        grouped=_grouped,
         comparisons=comparisons,
-        compared=[
-            row
-            for row in _COMPARED
-            if any(each.figures.get(row[0]) is not None for each in comparisons)
-        ],
         errors=figures.error_pictures(results, comparisons, frame) if comparisons else [],
     )
     return Report(html, facts, above, prints)
@@ -170,39 +120,38 @@ def _facts(
 ) -> dict[str, Any]:
     unit = result.unit
     area_px = int(np.count_nonzero(result.mask))
-    return {
+    photographed: dict[str, Any] = {}
+    if capture is not None:
+        photographed = {
+            "material": capture.material,
+            "encoding": capture.encoding,
+            "image_size": capture.shape,
+            "px_per_mm": capture.rig.camera.measured_px_per_mm,
+            "bands": {name: len(band.leds) for name, band in capture.bands.items()},
+            "captured_at": capture.captured_at,
+            "subject": capture.subject,
+        }
+    facts = {
         **report_head("splitknit-report"),
         "preset": result.preset,
-        "capture": (
-            {}
-            if capture is None
-            else {
-                "material": capture.material,
-                "encoding": capture.encoding,
-                "image_size": list(capture.shape),
-                "px_per_mm": capture.rig.camera.measured_px_per_mm,
-                "bands": {name: len(band.leds) for name, band in capture.bands.items()},
-                "captured_at": capture.captured_at,
-                "subject": _plain(capture.subject),
-            }
-        ),
+        "capture": photographed,
         "result": {
             "pitch_mm": result.pitch_mm if unit.known else None,
             "scale_known": unit.known,
-            "input_from_upright": _plain(result.input_from_upright),
-            "upright_size": list(result.upright_size),
+            "input_from_upright": result.input_from_upright,
+            "upright_size": result.upright_size,
             "area_mm2": area_px * result.pitch_mm**2 if unit.known else None,
             "area_px": area_px,
         },
         "findings": [finding.facts for finding in result.findings],
-        "quality": _plain(unit.converted(result.quality)),
-        "facts": _plain(unit.converted(result.facts)),
-        "settings": _plain(result.settings),
-        "timings_s": _plain(result.timings_s),
+        "quality": unit.converted(result.quality),
+        "facts": unit.converted(result.facts),
+        "settings": result.settings,
+        "timings_s": result.timings_s,
         "inputs_sha256": dict(sorted(result.hashes.items())),
-        "files": [],
-        "comparison": {each.preset: _plain(each.figures) for each in comparisons},
+        "comparison": {each.preset: each.figures for each in comparisons},
     }
+    return {name: _plain(fact) for name, fact in facts.items()}
 
 
 def _plain(value: Any) -> Any:
@@ -219,51 +168,30 @@ def _plain(value: Any) -> Any:
     )
 
 
-def _summary(result: Reconstruction) -> list[tuple[str, str]]:
-    """The most important facts."""
-    unit = result.unit
-    finger = is_finger(result)
-    area_px = int(np.count_nonzero(result.mask))
-    width, length = unit.per_mm * np.ptp(upright_limits(result), axis=0) * result.pitch_mm
+def _summary(result: Reconstruction) -> dict[str, float]:
+    """The most important facts: size and area seen from above, and the range of the relief, from
+    the 5th to the 95th percentile where the surface faces the camera."""
+    width, length = np.ptp(upright_limits(result), axis=0) * result.pitch_mm
     height = result.height_mm[result.mask]
-    depth = unit.per_mm * float(np.nanmax(height) - np.nanmin(height))
     relief = figures.facing_relief_mm(result)
-    low, high = np.percentile(relief, (5, 95)) if relief.size else (0.0, 0.0)
-    small, per_mm = unit.fitting(float(high - low))
-    swing = per_mm * float(high - low)
-    over = f"(5th to 95th percentile where {'the skin' if finger else 'it'} faces the camera)"
-    sampling = ("Scale", "unknown, heights in pixels")
-    if unit.known:
-        per_inch = f" ({25.4 / result.pitch_mm:.0f} per inch)" if finger else ""
-        sampling = ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm{per_inch}")
-    return [
-        (
-            "Size seen from above",
-            f"{width:.1f} {unit.name} wide, {length:.1f} {unit.name} long,"
-            f" {depth:.1f} {unit.name} deep",
-        ),
-        (
-            "Skin measured" if finger else "Area measured",
-            f"{area_px * (unit.per_mm * result.pitch_mm) ** 2:.0f} {unit.name}² in projection",
-        ),
-        sampling,
-        (
-            "Relief, valley to ridge" if finger else "Relief of fine details",
-            f"{swing:.3g} {small} {over}",
-        ),
-    ]
+    return {
+        "width_mm": width,
+        "length_mm": length,
+        "depth_mm": float(np.nanmax(height) - np.nanmin(height)),
+        "area_mm2": np.count_nonzero(result.mask) * result.pitch_mm**2,
+        "relief_mm": float(np.ptp(np.percentile(relief, (5, 95)))) if relief.size else 0.0,
+        "pitch_mm": result.pitch_mm,
+    }
 
 
-def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _grouped(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One table for each nested group of `facts`."""
     groups = {"": {key: value for key, value in facts.items() if not isinstance(value, Mapping)}}
     groups |= {key: dict(value) for key, value in facts.items() if isinstance(value, Mapping)}
     return [
         {
             "name": _label(name),
-            "rows": [
-                (_label(key), _text(value), EXPLAINED.get(key, "")) for key, value in group.items()
-            ],
+            "rows": [(_label(key), _text(value)) for key, value in group.items()],
         }
         for name, group in groups.items()
         if group
@@ -277,114 +205,13 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.4g}"
+        return f"{float(f'{value:.4g}'):g}"
     if isinstance(value, Mapping):
         return "; ".join(f"{_label(str(key))}: {_text(item)}" for key, item in value.items())
     if isinstance(value, list):
-        return (
-            ", ".join(
-                f"({_text(item)})" if isinstance(item, list) else _text(item) for item in value
-            )
-            or "none"
-        )
+        items = [f"({_text(item)})" if isinstance(item, list) else _text(item) for item in value]
+        return ", ".join(items) or "none"
     return str(value)
-
-
-# What the names in a report mean, for readers who do not know the code.
-
-EXPLAINED = {
-    "ridge_contrast": (
-        "How much the ridges change the brightness, relative. Good: above 0.006; more is better."
-    ),
-    "ridge_contrast_per_image": "The same for every image. Good: all similar.",
-    "sharpness": (
-        "Focus: fine detail relative to brightness. Compare it between captures of one rig."
-    ),
-    "dark_specks": (
-        "Fraction of the surface under dark specks, as dust makes them. Good: below 0.002."
-    ),
-    "bright_specks": (
-        "Fraction of the surface under bright specks, as scales of dry skin make them. Good: below"
-        " 0.005."
-    ),
-    "saturated_per_image": (
-        "Fraction of the surface that is too bright to measure, for every image. Good: below 0.02."
-    ),
-    "brightness": "Median brightness of the surface, 1 = full scale. Good: 0.1 to 0.6.",
-    "brightness_per_image": "The same for every image.",
-    "ambient_share": "Ambient light, relative to that of the lamps. Good: below 0.3.",
-    "area_mm2": "Area of the surface in the image.",
-    "length_mm": "Length in view.",
-    "width_mm": "Width in view.",
-    "frame_share": "Fraction of the image that it fills.",
-    "borders": "Borders of the image that it touches.",
-    "led_relative": (
-        "Brightness of every image relative to what its light should give. Good: all near 1."
-    ),
-    "light_residual": (
-        "Part of the photographs that no matt surface under their lights explains. Good: below"
-        " 0.15."
-    ),
-    "light_brightness": (
-        "Brightness of each light over the mean, estimated with the surface and taken out."
-    ),
-    "light_residual_per_image": "The same for every image. Good: all similar.",
-    "yaw_deg": "Turn in the image, counter-clockwise; it is taken out.",
-    "tip_direction": (
-        "Where the tip's direction comes from: the capture, the outline, or an assumption."
-    ),
-    "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",
-    "motion_mm": ("How far it moved against the other shots, in every image. Good: below 0.05 mm."),
-    "motion_reliability": "How well that is known, for every image: 1 = certain.",
-    "moved_mm": (
-        "How far it moved against the reference image, for every image. A note says where it was"
-        " undone."
-    ),
-    "shift_mm": "The same to the right and upwards.",
-    "turn_deg": "By how much it turned, counter-clockwise.",
-    "centre_mm": "About which point, to the right and downwards from the first pixel.",
-    "unexplained_before": (
-        "Details of every image that no matt surface explains, before the motion was undone."
-    ),
-    "unexplained_after": "The same afterwards. Good: below 0.2.",
-    "likeness_before": (
-        "Correlation of every image's details with the expected ones, before the motion was undone."
-    ),
-    "likeness_after": "The same afterwards.",
-    "scattering_per_mm": (
-        "How often light is scattered in the skin, a millimetre; assumed for the shape."
-    ),
-    "relief_by": (
-        "network: ridges drawn by the trained network; colour: specular reflection removed by"
-        " colour alone; polarised: ridges from what the surface reflects, parallel less crossed"
-        " images; side: from what is white in images lit from the front and the side."
-    ),
-    "heights": (
-        "Of the ridges: measured in this finger's images, or modelled, as blurred by skin that was"
-        " simulated."
-    ),
-    "roughness": (
-        "Of the skin's surface for the light that it reflects (GGX alpha): 0.1 oily, 0.5 dry."
-    ),
-    "specular_over_noise": (
-        "What the surface reflects, by the brightest light, over the noise. Good: above 10."
-    ),
-    "residual_over_noise": (
-        "What the specular image leaves unexplained, over the noise. Good: below 1.5."
-    ),
-    "misfit": (
-        "Part of the light that no matt surface with the given normals explains, median. Good: near"
-        " `photometric_misfit`, that of the normals that the photographs themselves give."
-    ),
-    "contradicted": (
-        "Fraction of the surface where the photographs contradict the given normals. Good: below"
-        " 0.02."
-    ),
-    "separation": (
-        "What was done about specular reflection and about light that spreads below the surface."
-    ),
-}
-"""Name in ``quality`` or ``facts`` to what it means and what good looks like."""
 
 
 def _label(name: str) -> str:
@@ -394,8 +221,8 @@ def _label(name: str) -> str:
 
 PRINT_PPI = 500.0
 """Pixels an inch of ``print.png``. Source: ISO/IEC 19794-4, the usual resolution of prints."""
-_FIELDS = ("phalange.ply", "height.tiff", "height.npz", "normals.png", "albedo.png")
-FILES = (*_FIELDS, "print.png", "preview.png", "report.html", "report.json")
+_IMAGES = ("normals.png", "albedo.png", "print.png", "preview.png")
+FILES = ("phalange.ply", "height.tiff", "height.npz", *_IMAGES, "report.html", "report.json")
 
 
 def is_printed(result: Reconstruction) -> bool:
@@ -468,7 +295,7 @@ def write_files(
     def write(name: str) -> None:
         write_picture(target / name, pictures[name](), origin)
 
-    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+    with ThreadPoolExecutor(4) as pool:
         jobs = [
             pool.submit(write_arrays, target / "height.npz", result, origin),
             pool.submit(write_mesh, target / mesh, result, origin),
@@ -483,8 +310,7 @@ def write_files(
         write_picture(target / "preview.png", report.above, origin)
         for job in jobs:
             job.result()
-    more = [name for name in pictures if name not in names]
-    return report.write(target, [*names, *more, *step_files])
+    return report.write(target, [*dict.fromkeys((*names, *pictures)), *step_files])
 
 
 def preview_html(result: Reconstruction) -> str:

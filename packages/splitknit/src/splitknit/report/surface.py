@@ -11,7 +11,7 @@ import base64
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,11 +22,13 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging.geometry import bounding_box, sampled_at
+from splitknit.imaging.geometry import bounding_box, local_mean, sampled_at
 from splitknit.io.images import png_bytes
-from splitknit.io.pictures import upright_places, upright_turn
+from splitknit.io.pictures import data_uri, upright_places, upright_turn
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.reconstruction import Reconstruction
+from splitknit.report import template
+from splitknit.report.photos import round_step
 from splitknit.units import MILLIMETRES, LengthUnit
 
 
@@ -46,6 +48,8 @@ class ResultSurface:
     unit: LengthUnit = MILLIMETRES
     origin_px: tuple[int, int] = (0, 0)
     """Column and row of the first pixel in the input."""
+    factor_sd: float | None = None
+    """Standard deviation of the factor that all heights share; None where it is not known."""
 
     def places_mm(self, input_px: Array) -> Array:
         """(2, N) x and y of places (N, 2), columns and rows of the input; NaN beside the
@@ -78,14 +82,17 @@ class Section:
     x_mm: Array
     y_mm: Array
     height_mm: Array  # (N,), NaN where there is no surface
-    figures: dict[str, float | None]
+    figures: dict[str, Any]
+    """``flat_mm``, ``height_difference_mm`` between the ends, ``height_range_mm`` from lowest to
+    highest, its standard deviation ``height_range_sd_mm`` (None: unknown), and ``steep_mm``: how
+    much of `flat_mm` is steeper than `STEEP`, where the range is a lower limit."""
 
 
 def surface_in(result: Reconstruction) -> ResultSurface:
     """The surface of a result; BadInput if it holds no height."""
     known = result.mask & np.isfinite(result.height_mm)
     require(known.any(), "the result holds no heights; reconstruct the capture again.")
-    return upright_surface(
+    surface = upright_surface(
         (result.height_mm, result.ridge_mm),
         known,
         result.pitch_mm,
@@ -93,6 +100,7 @@ def surface_in(result: Reconstruction) -> ResultSurface:
         xy_mm=None if result.x_mm is None or result.y_mm is None else (result.x_mm, result.y_mm),
         unit=result.unit,
     )
+    return replace(surface, factor_sd=result.facts.get("height_factor_sd"))
 
 
 def upright_surface(
@@ -150,8 +158,40 @@ def section(
         "no surface lies between the two points; choose points on the surface.",
     )
     rise = float(height[-1] - height[0])
-    figures = {"flat_mm": flat_mm, "height_difference_mm": None if np.isnan(rise) else rise}
+    extent = float(np.nanmax(height) - np.nanmin(height))
+    step_mm = flat_mm / (count - 1)
+    figures = {
+        "flat_mm": flat_mm,
+        "height_difference_mm": None if np.isnan(rise) else rise,
+        "height_range_mm": extent,
+        "height_range_sd_mm": None if surface.factor_sd is None else surface.factor_sd * extent,
+        "steep_mm": step_mm * float(np.sum(np.abs(np.diff(height)) > STEEP * step_mm)),
+    }
     return Section(fraction * flat_mm, x, y, height, figures)
+
+
+STEEP = 2.7
+"""Slope (70 deg) above which a wall's height is a lower limit: such walls lie in the shadow of most
+lights. Source: rendered walls 3.17 mm high under 6 to 12 lights, of which 2 to 3 % are lost at
+76 deg, 16 % at 83 deg, and half where they are vertical."""
+
+
+def section_svg(cut: Section) -> str:
+    """A section as a chart: heights above the lowest, over the distance."""
+    name, per_mm = MILLIMETRES.fitting(cut.figures["height_range_mm"])
+    heights = per_mm * (cut.height_mm - np.nanmin(cut.height_mm))
+    chart: str = template("section.svg").render(
+        points=np.column_stack([cut.along_mm, heights]).round(4).tolist(),
+        columns=ticks(cut.along_mm[-1]),
+        rows=ticks(max(heights.max(), 1e-6)),
+        unit=name,
+    )
+    return chart
+
+
+def ticks(end: float) -> list[float]:
+    """Round numbers from zero to `end`, at most ten, and `end`."""
+    return [*np.arange(0.0, end, round_step(end / 4)).tolist(), float(end)]
 
 
 def sample(field: FloatArray, place: Array) -> Array:
@@ -250,41 +290,40 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
         "pitch": pitch_mm * unit.per_mm,
         "unit": unit.name,
         "small": unit.small,
+        "factor_sd": surface.factor_sd,
+        "steep": STEEP,
         "shape": _in_16_bits(gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm, 0.001),
         "ridge": _in_16_bits(gridded(surface.ridge_mm) * unit.per_mm, 0.0002),
         "brightness": None
         if page.albedo is None
-        else _jpeg([gridded(part) for part in np.moveaxis(np.atleast_3d(page.albedo), -1, 0)]),
+        else _coded([gridded(part) for part in np.moveaxis(np.atleast_3d(page.albedo), -1, 0)]),
         "minutiae": np.round(page.minutiae, 4).tolist(),
     }
 
 
-def _jpeg(albedo: Sequence[Array]) -> str:
-    """Brightness for people, grey or red, green and blue; black where it is not known."""
-    known = np.nan_to_num(np.dstack(albedo[::-1]), posinf=0.0, neginf=0.0)  # OpenCV: blue first
+def _coded(albedo: Sequence[Array]) -> str:
+    """Brightness for people, grey or red, green and blue, as JPEG; black where it is not known."""
+    known = np.nan_to_num(np.dstack(albedo), posinf=0.0, neginf=0.0)
     brightest = max(float(np.percentile(known, 99.5)), 1e-6)
     fraction = np.clip(known / brightest, 0.0, 1.0)
     code = np.round(255 * fraction ** (1 / 2.2)).astype(np.uint8)
-    data = cv2.imencode(".jpg", code, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
-    return base64.b64encode(data).decode()
+    return data_uri(code, photo=True).partition(",")[2]
 
 
-def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> FloatArray:
-    """Mean over squares of `side` pixels where the field is known; NaN where it is not."""
+def _averaged(field: FloatArray, known: BoolArray, side: float) -> FloatArray:
+    """Mean of the field around every known pixel, over about `side` pixels; NaN elsewhere."""
     if side < 1.5:
         return field
-    size = (round(side), round(side))
-    total = cv2.blur(np.where(known, field, 0.0), size, borderType=cv2.BORDER_CONSTANT)
-    weight = cv2.blur(known.astype(np.float32), size, borderType=cv2.BORDER_CONSTANT)
-    return np.where(known, total / np.maximum(weight, 1e-6), np.nan)
+    mean, _ = local_mean(np.where(known, field, np.float32(0.0)), known, side / np.sqrt(12))
+    return np.where(known, mean, np.float32(np.nan))
 
 
 def _in_16_bits(values: Array, step: float) -> dict[str, Any]:
     """A field as PNG: red and green are the high and low byte of its level, zero where it is not
     known."""
     known = np.isfinite(values)
-    low = float(np.min(values, where=known, initial=np.inf)) if known.any() else 0.0
-    high = float(np.max(values, where=known, initial=-np.inf)) if known.any() else 0.0
+    inside = values[known] if known.any() else np.zeros(1)
+    low, high = float(inside.min()), float(inside.max())
     step = max(step, (high - low) / 65_000)
     level = np.where(known, np.round((np.nan_to_num(values) - low) / step) + 1, 0)
     level = level.astype(np.uint16)

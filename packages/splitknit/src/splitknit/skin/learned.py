@@ -217,8 +217,8 @@ def relief_network(
 
 
 _MIN_LIGHTS = 6
-"""Fewer lights leave too little beside the slopes to measure specular reflection by, in lights.
-Chosen on: judgement. Range: 3 to 6 (validation/parameters)."""
+"""Min number of lights: with fewer the slopes leave no degrees of freedom to measure specular
+reflection. Chosen on: judgement. Range: 3 to 6 (validation/parameters)."""
 _NETWORK_PITCH_MM = (0.017, 0.041)
 """Smallest and largest pixels that the networks are applied to: about those that they were trained
 on."""
@@ -303,9 +303,10 @@ GAIN_UNCERTAINTY = 0.175
 path-traced fingers (three of validation/path_traced/make.py, eight of its ``--drawn 8 --seed 1``)
 and four simulated ones."""
 RED_SHADING = (0.15, 0.4)
-"""Shading by ridges in red over that in blue, where it says nothing of the ridges' height, and
-where all. Refracted light gave -0.1 to 0.2, diffused light 0.25 to 0.35, the simulator 0.37 to
-0.48; skin that scatters little gives less. Chosen on: the same fingers."""
+"""Ratio of the ridges' shading in red to that in blue at which shading does not depend on the
+ridges' height, and at which it fully does. Refracted light gave -0.1 to 0.2, diffused light 0.25 to
+0.35, the simulator 0.37 to 0.48; skin that scatters little gives less. Chosen on: the same
+fingers."""
 HIDDEN_RIDGES_UM = 15.0
 """Standard deviation of the ridges that shading does not show, in um, rms. Chosen on: the same
 fingers."""
@@ -319,8 +320,8 @@ def with_gain_uncertainty(
 
     `slopes`: (4, h, w) of the features, red x and y, blue x and y. Red light goes far inside skin,
     so its shading by ridges is that of light which the boundary diffuses. Where it is faint beside
-    that of blue, light enters refracted: then shading says little of how high the ridges are, and
-    the network answers with what is usual.
+    that of blue, light enters refracted: then shading hardly depends on the ridges' height, and the
+    network returns a usual one.
     """
     inner = estimate.trust > 0.9
     ridges = np.stack(height_gradients(estimate.relief_mm, grid.pitch_mm))[:, inner]

@@ -10,8 +10,8 @@ k,
 with f the reflection of a rough facet (GGX), B the blur of lens and pixels, S that of the short
 paths below the skin, and rho the local strength of what is scattered. Unknown are the heights at
 the corners of the pixels: slopes at the centres are then differences over one pixel, and
-integrable. They are estimated by Gauss-Newton together with strength, roughness and path length,
-which three cannot be fitted in turns: ridges would end at 0.8 of their height.
+integrable. They are estimated by Gauss-Newton jointly with strength, roughness and path length:
+alternating between them does not converge and leaves ridges at 0.8 of their height.
 
 Source: S. L. Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin pathology with polarized
 light", J. Biomed. Opt. 7, 2002. W.-C. Ma et al., "Rapid acquisition of specular and diffuse normal
@@ -79,7 +79,7 @@ def specular_images(
 
 @dataclass(frozen=True, slots=True)
 class FitThresholds:
-    """What a fit takes for granted."""
+    """Thresholds and assumed errors of the fit."""
 
     prior_factor: float
     """Factor on the stated deviation of the start's relief, whose error is one of gain too."""
@@ -107,10 +107,10 @@ _STEPS = 10
 _RAISED_MM = 1.0
 """Step of the derivative by the finger's lift."""
 _MISFIT = (0.8, 0.5)
-"""Residual of a light to the side, over its image (rms), from which it waits, in the first and in
-the second half of the steps: glints of oily skin fit later. Those of a path-traced finger leave
-0.36 at first and 0.09 at last; lights whose films are turned, so that what they reflect does not
-pass the camera's, leave 0.82 to 13. Chosen on: path-traced fingers."""
+"""Residual of a light to the side, over its image (rms), above which it is not used yet, in the
+first and in the second half of the steps: glints of oily skin fit later. Those of a path-traced
+finger leave 0.36 at first and 0.09 at last; lights whose films are turned, so that what they
+reflect does not pass the camera's, leave 0.82 to 13. Chosen on: path-traced fingers."""
 
 
 def polarised_heights(
@@ -651,8 +651,8 @@ _MAX_CHANGE = (0.25, 0.25, 0.25, 0.25, 1.5)
 
 def _model_change(fit: SpecularFit, gentle: BoolArray) -> Array:
     """Change of the logarithms of strength, roughness, path and blur, and, where lights to the side
-    show them, of the lift in mm and of these lights' brightness (scattered, then specular), with
-    whatever slopes suit the `gentle` pixels best.
+    show them, of the lift in mm and of these lights' brightness (scattered, then specular); the
+    slopes of the `gentle` pixels are free.
     """
     sums: dict[int, Array] = {}
 

@@ -151,9 +151,9 @@ _WINDOW_OVERLAP = 4
 
 
 def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Denoise `relief` (H, W); state what is left (J. S. Lim, "Two-Dimensional Signal and Image
-    Processing", 1990, 9.2). `noise_power`: (side, side // 2 + 1), :func:`_window_power` of pure
-    noise in windows of that side.
+    """Denoise `relief` (H, W), and estimate the error that remains (J. S. Lim, "Two-Dimensional
+    Signal and Image Processing", 1990, 9.2). `noise_power`: (side, side // 2 + 1),
+    :func:`_window_power` of pure noise in windows of that side.
     """
     side = len(noise_power)
     hop = side // _WINDOW_OVERLAP
@@ -344,7 +344,7 @@ def _plausible(omega: Array, signal: Array) -> Array:
     """The relief's power `signal` with that above the ridges' own frequency limited to the fall of
     a ridge's harmonics. Where skin passes next to nothing, errors in the glare's colour look like
     relief. Slopes of flat ridges with narrow, steep valleys fall off about as one over the
-    frequency; nothing rougher is believed.
+    frequency; anything rougher is treated as noise.
     """
     ridges = np.flatnonzero((omega >= _RIDGE_RANGE_PER_MM[0]) & (omega <= _RIDGE_RANGE_PER_MM[1]))
     peak = int(ridges[np.argmax(signal[ridges])])

@@ -49,7 +49,7 @@ class CoarseImages:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """A shape on the coarse grid, and what its images gave beside it."""
+    """A shape on the coarse grid, and further estimates from its images."""
 
     height_mm: FloatArray  # (h, w) along the line of sight; its mean is undefined
     facing: FloatArray  # (h, w) z component of the normals: weights of the integration

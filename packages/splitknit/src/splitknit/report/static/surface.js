@@ -235,6 +235,11 @@ function ticks(low, high, count) {
   return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, k) => Number(((first + k) * step).toPrecision(6)));
 }
 
+/** Heights of a surface at places, or its relief alone. */
+function heightsOf(surface, places, alone) {
+  return places.map(({ x, y }) => (alone ? 0 : surface.at(surface.shape, x, y)) + surface.at(surface.ridge, x, y));
+}
+
 /** The section of every surface as a chart, and its figures. */
 function drawSection() {
   const chart = byId("section");
@@ -248,10 +253,7 @@ function drawSection() {
   const alone = byId("alone").checked;
   const { unit, small } = views[0].surface;
   const levels = views.map(({ surface }) => {
-    const heights = places.map(({ x, y }) => {
-      const shape = alone ? 0 : surface.at(surface.shape, x, y);
-      return shape + surface.at(surface.ridge, x, y);
-    });
+    const heights = heightsOf(surface, places, alone);
     const known = heights.filter((height) => !Number.isNaN(height));
     const mean = known.reduce((sum, height) => sum + height, 0) / known.length;
     return heights.map((height) => height - mean);
@@ -303,8 +305,14 @@ function drawSection() {
   });
   chart.replaceChildren(...drawn);
   const corners = ends.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" to ");
-  const figures = `${length.toFixed(2)} ${unit} long, ${Number(spread.toPrecision(3))} ${named} from lowest to highest`;
-  note.textContent = `Section from ${corners} ${unit}: ${figures}.`;
+  const { factor_sd: factorSd, steep } = views[0].surface;
+  const known = factorSd ? ` \u00b1 ${Number((factorSd * spread).toPrecision(2))}` : "";
+  const figures = `${length.toFixed(2)} ${unit} long, ${Number(spread.toPrecision(3))}${known} ${named} from lowest to highest`;
+  const step = length / (places.length - 1);
+  const whole = heightsOf(views[0].surface, places, false);
+  const wall = whole.some((height, k) => Math.abs(height - whole[k - 1]) > steep * step);
+  const limit = wall ? " A lower limit: it crosses walls steeper than 70 deg, where shadow hides how high they are." : "";
+  note.textContent = `Section from ${corners} ${unit}: ${figures}.${limit}`;
 }
 
 function redraw() {
