@@ -9,7 +9,6 @@ that. The finger's surface is that of the default method, against the truth.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -35,6 +34,7 @@ from twins import (  # noqa: E402
 )
 
 from splitknit import Led, compare, reconstruct  # noqa: E402
+from splitknit.io.csv_table import csv_text  # noqa: E402
 from splitknit_simulator.rigs import built_rig  # noqa: E402
 from splitknit_simulator.twin import FingerScene, twin_settings  # noqa: E402
 
@@ -173,13 +173,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, nargs="+", default=[2000, 2001])
     parser.add_argument("--out", type=Path, default=HERE / "tables" / "effects.csv")
     chosen = parser.parse_args(arguments)
-    with chosen.out.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, ("seed", "question", "size", *FIGURES), lineterminator="\n")
-        writer.writeheader()
-        for seed in chosen.seeds:
-            for row in rows_of(seed):
-                writer.writerow(row)
-                file.flush()
+    rows = [row for seed in chosen.seeds for row in rows_of(seed)]
+    table = csv_text([rows[0], *(row.values() for row in rows)])
+    chosen.out.write_text(table, encoding="utf-8")
     return 0
 
 
