@@ -2,18 +2,14 @@
 173,400 comparisons.
 
 Peers: numpy's way of the textbook (sort all scores with their labels, cumulate), scikit-learn and
-bob.measure, and a bootstrap that draws scores and sorts them anew. ``--file`` also writes and reads
-a score file of a million lines.
+bob.measure.
 """
 
 from __future__ import annotations
 
 import argparse
 import resource
-import tempfile
 import time
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,9 +28,6 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument(
         "--replicates", type=int, default=100, help="timed; the table gives seconds for 1,000"
-    )
-    parser.add_argument(
-        "--file", action="store_true", help="a score file of a million lines as well"
     )
     options = parser.parse_args()
     generator = np.random.default_rng(0)
@@ -72,10 +65,7 @@ def main() -> None:
     label = np.repeat([True, False], [genuine.size, impostor.size])
     resampling(Scores(label, np.concatenate([genuine, impostor])), ("plain",), options.replicates)
     resampling(thesis(generator), ("plain", "finger", "subject"), options.replicates)
-    naive(genuine, impostor)
     print(f"\n{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB at the peak")
-    if options.file:
-        score_file(impostor)
 
 
 def figures(genuine: np.ndarray, impostor: np.ndarray) -> int:
@@ -127,33 +117,6 @@ def resampling(scores: Scores, methods: tuple[str, ...], replicates: int) -> Non
         wall = factor * (time.perf_counter() - started)
         used = factor * (time.process_time() - busy)
         print(f"| {method} | {wall:.1f} | {used:.1f} |")
-
-
-def naive(genuine: np.ndarray, impostor: np.ndarray) -> None:
-    generator = np.random.default_rng(0)
-    started = time.process_time()
-    for _ in range(3):
-        figures(generator.choice(genuine, genuine.size), generator.choice(impostor, impostor.size))
-    used = 1000 / 3 * (time.process_time() - started)
-    print(
-        f"\nDrawing and sorting scores anew: {used:.0f} s of processor time for 1,000 replicates."
-    )
-
-
-def score_file(impostor: np.ndarray) -> Any:
-    from splitknit_match.evaluation.scores import read_scores
-
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "scores.csv"
-        rows = "".join(f"0,{value:.6f},f{k % 997},f{k % 991}\n" for k, value in enumerate(impostor))
-        path.write_text("label,score,finger_a,finger_b\n1,3,f1,f1\n" + rows)
-        started = time.process_time()
-        table = read_scores(path)
-        count = table.scores.score.size
-        print(
-            f"\nA file of {count:,} lines with fingers: read in"
-            f" {time.process_time() - started:.1f} s."
-        )
 
 
 if __name__ == "__main__":

@@ -17,14 +17,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from peers import library
 from splitknit.finger.orientation import find_upright
 from splitknit.finger.ridges import relief_print
 from splitknit.nominal import default_rig
-from splitknit_match.matching.features import lbp_features
 from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
-from splitknit_match.matching.ridge_band import print_band, ridge_band
+from splitknit_match.matching.ridge_band import ridge_band
 from splitknit_match.matching.template import Template, make_template, pack, unpack
 from splitknit_match.matching.thesis import (
     FingerImages,
@@ -89,25 +87,6 @@ def main() -> None:
     }
     print_table("Ridge templates", race(contenders, 4 * rounds))
 
-    # like with like: one side turned, which changes nothing in what is computed
-    away = Prepared(
-        make_template(
-            print_band(np.ascontiguousarray(np.rot90(print_of(seen[1], camera.px_per_mm), 2)))
-        )
-    )
-    level = Prepared(make_template(print_band(print_of(seen[1], camera.px_per_mm))))
-    ridge_match(ready[0], level), ridge_match(ready[0], away)
-    turned = {
-        "upright": lambda: ridge_match(ready[0], level),
-        "turned by 180 deg": lambda: ridge_match(ready[0], away),
-    }
-    print_table(
-        "All rotations",
-        race(turned, 4 * rounds),
-        lambda alignment: f"{alignment.rotation_deg:.0f} deg",
-        "found",
-    )
-
     boxes = [
         full_size(finger_images(s.normals, x[0], s.mask, camera.pitch_mm))
         for s, x in zip(seen, surfaces, strict=True)
@@ -128,24 +107,6 @@ def main() -> None:
         "the same, two threads": lambda: pair(True, 2),
     }
     print_table("The thesis's matcher, four channels of 1528 x 936", race(contenders, rounds))
-    if feature := library("skimage.feature"):
-        relief = boxes[0].channels["relief"]
-        rows = relief.shape[0] // 64 * 64
-        wide = relief.shape[1] // 64 * 64
-
-        def by_skimage() -> Any:
-            codes = feature.local_binary_pattern(relief, 8, 1.0, "nri_uniform").astype(np.int64)[
-                :rows, :wide
-            ]
-            cell = np.arange(rows)[:, None] // 64 * (wide // 64) + np.arange(wide) // 64
-            return np.bincount((59 * cell + codes).ravel(), minlength=59 * rows * wide // 4096)
-
-        contenders = {
-            "lbp_features, single": lambda: lbp_features(relief, 75.7),
-            "scikit-image: local_binary_pattern, numpy's bincount, double": by_skimage,
-        }
-        print_table("Local binary patterns of one channel", race(contenders, rounds))
-
     minutiae([print_of(s, camera.px_per_mm) for s in seen], rounds)
 
 

@@ -1,7 +1,6 @@
 """The command line from disk to disk: seconds, processor time and peak memory of whole runs.
 
     python benchmarks/bench_reconstruct.py  # full and half scale, metric, snk and ea
-    python benchmarks/bench_reconstruct.py --profile  # functions of one full-frame run
     python benchmarks/bench_reconstruct.py --photographs 200x3 8x45 8x45/10
 
 The numbers after ``--photographs``: number x megapixels [/ --max-size].
@@ -13,10 +12,8 @@ Every run is a process of its own (what it loads counts). The captures are simul
 from __future__ import annotations
 
 import argparse
-import cProfile
 import json
 import os
-import pstats
 import shutil
 import statistics
 import subprocess
@@ -238,24 +235,6 @@ def photographs(case: str) -> None:
     print(f"| {count} of {megapixels} MP | {limit or '-'} | {cells} |", flush=True)
 
 
-def profile(scale: float) -> None:
-    """Print where one run spends its processor time (all threads of the process count while a
-    function waits)."""
-    from splitknit import read_capture, reconstruct
-    from splitknit.report.result import write_results
-
-    folder, _ = prepare(scale)
-
-    def whole() -> None:
-        capture = read_capture(folder)
-        write_results(reconstruct(capture), capture, OUT / "result_profile")
-
-    profiler = cProfile.Profile(timer=time.process_time)
-    profiler.runcall(whole)
-    for order, count in (("tottime", 25), ("cumtime", 60)):
-        pstats.Stats(profiler).sort_stats(order).print_stats("splitknit|scipy|cv2|method", count)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -263,7 +242,6 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--scales", type=float, nargs="+", default=[1.0, 0.5])
     parser.add_argument("--presets", nargs="+", default=["metric", "snk", "ea"])
-    parser.add_argument("--profile", action="store_true")
     parser.add_argument(
         "--photographs", nargs="+", metavar="COUNTxMP", help="memory of photographs alone"
     )
@@ -276,9 +254,6 @@ def main() -> None:
         print("| --- | --- | --- | --- | --- | --- | --- |")
         for case in options.photographs:
             photographs(case)
-        return
-    if options.profile:
-        profile(options.scales[0])
         return
     print(f"Whole runs from disk to disk, {machine()}")
     lean, loaded = import_seconds()

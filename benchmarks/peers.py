@@ -34,15 +34,6 @@ def library(name: str) -> ModuleType | None:
         return None
 
 
-def pinv_photometric_stereo(stack: Array, lights: Array) -> Array:
-    """Normals (H, W, 3) by one pseudo-inverse in one matrix product."""
-    count, rows, columns = stack.shape
-    g = np.linalg.pinv(lights).astype(np.float32) @ stack.reshape(count, -1)
-    return np.ascontiguousarray((g / np.maximum(np.linalg.norm(g, axis=0), 1e-9)).T).reshape(
-        rows, columns, 3
-    )
-
-
 def batched_weighted_photometric_stereo(
     stack: Array, lights: Array, threshold: float = 0.02
 ) -> Array:
@@ -53,47 +44,6 @@ def batched_weighted_photometric_stereo(
     right = np.einsum("lhw,lhw,li->hwi", weights, stack, vectors, optimize=True)
     g = np.linalg.solve(moments + 1e-6 * np.eye(3, dtype=np.float32), right[..., None])[..., 0]
     return np.asarray(g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), 1e-9))
-
-
-def frankot_chellappa_plain(slope_x: Array, slope_y: Array) -> Array:
-    """Zero-filled Frankot-Chellappa with complex transforms in double precision."""
-    wy, wx = np.meshgrid(*(2 * np.pi * np.fft.fftfreq(n) for n in slope_x.shape), indexing="ij")
-    square = wx**2 + wy**2
-    square[0, 0] = 1
-    spectrum = -1j * (wx * np.fft.fft2(slope_x) - wy * np.fft.fft2(slope_y)) / square
-    spectrum[0, 0] = 0
-    return np.fft.ifft2(spectrum).real
-
-
-def dct_poisson(slope_x: Array, slope_y: Array) -> Array:
-    """Whole rectangle, trapezoidal differences, one cosine transform each way, in the precision of
-    the slopes."""
-    right_side = np.zeros(slope_x.shape, slope_x.dtype)
-    step = (slope_x[:, 1:] + slope_x[:, :-1]) / 2
-    right_side[:, 1:] += step
-    right_side[:, :-1] -= step
-    step = -(slope_y[1:] + slope_y[:-1]) / 2
-    right_side[1:] += step
-    right_side[:-1] -= step
-    return dct_inverse_laplacian(right_side)
-
-
-def dct_inverse_laplacian(right_side: Array) -> Array:
-    """Negative Laplacian with free borders, inverted on its cosines, in the precision of
-    `right_side`."""
-    return inverse_laplacian(right_side.shape, right_side.dtype)(right_side)
-
-
-def inverse_laplacian(shape: tuple[int, ...], dtype: Any) -> Callable[[Array], Array]:
-    """The same, its eigenvalues made once."""
-    values = [2 - 2 * np.cos(np.pi * np.arange(n) / n) for n in shape]
-    eigenvalues = values[0][:, None] + values[1][None]
-    eigenvalues[0, 0] = 1
-    inverse = (1 / eigenvalues).astype(dtype)
-    inverse[0, 0] = 0
-    return lambda right_side: np.asarray(
-        scipy.fft.idctn(scipy.fft.dctn(right_side, workers=2) * inverse, workers=2)
-    )
 
 
 def masked_system(slope_x: Array, slope_y: Array, mask: Array) -> tuple[Any, Array]:
@@ -114,29 +64,6 @@ def masked_system(slope_x: Array, slope_y: Array, mask: Array) -> tuple[Any, Arr
     return (operator.T @ operator).tocsr(), operator.T @ target
 
 
-def cg_dct_solver(system: tuple[Any, Array], mask: Array, dtype: Any) -> Callable[[float], Array]:
-    """Masked least squares, matrix at hand: conjugate gradients, the rectangle's Poisson solver as
-    preconditioner."""
-    matrix = system[0].astype(dtype)
-    right_side = system[1].astype(dtype)
-    inverse = inverse_laplacian(mask.shape, dtype)
-
-    def precondition(residual: Array) -> Array:
-        image = np.zeros(mask.shape, dtype)
-        image[mask] = residual
-        return inverse(image)[mask]
-
-    operator = scipy.sparse.linalg.LinearOperator(matrix.shape, matvec=precondition, dtype=dtype)
-
-    def solve(tolerance: float) -> Array:
-        solution, _ = scipy.sparse.linalg.cg(
-            matrix, right_side, rtol=tolerance, maxiter=400, M=operator
-        )
-        return _on_grid(solution, mask)
-
-    return solve
-
-
 def pyamg_solver(pyamg: Any, system: tuple[Any, Array], mask: Array) -> Callable[[float], Array]:
     """Masked least squares by Ruge-Stueben algebraic multigrid, matrix and hierarchy at hand,
     double precision."""
@@ -154,16 +81,6 @@ def _on_grid(solution: Array, mask: Array) -> Array:
     height = np.full(mask.shape, np.nan)
     height[mask] = solution - solution.mean()
     return height
-
-
-def loosest(solve: Callable[[float], Array], exact: Array, wanted: float) -> float:
-    """Largest tolerance of a power of ten with which a solver comes as close to the exact solution,
-    in rms."""
-    scale = float(np.sqrt(np.nanmean(np.square(exact))))
-    for power in range(3, 9):
-        if np.sqrt(np.nanmean(np.square(solve(10.0**-power) - exact))) <= wanted * scale:
-            return 10.0**-power
-    return 1e-9
 
 
 def shapelets_scale_by_scale(slope_x: Array, slope_y: Array, scales: int) -> Array:

@@ -29,7 +29,6 @@ SUITES = {
     "bench_separate.py": (["--rounds", "5"], ["--rounds", "1"]),
     "bench_prints.py": (["--rounds", "5"], ["--rounds", "1", "--scale", "0.3", "--count", "2"]),
     "bench_match.py": (["--rounds", "5"], ["--rounds", "1"]),
-    "bench_batch.py": ([], ["--scale", "0.1", "--fingers", "1"]),
     "bench_gallery.py": (["--captures", "10000"], ["--captures", "300", "--rounds", "1"]),
     "bench_evaluate.py": (["--rounds", "9"], ["--rounds", "2", "--replicates", "20"]),
     "bench_reconstruct.py": (["--rounds", "5"], ["--rounds", "1", "--scales", "0.5"]),

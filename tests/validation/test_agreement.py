@@ -60,19 +60,6 @@ def test_a_pair_across_the_border_counts_for_whichever_lies_inside(script: Scrip
     assert json.loads(json.dumps(record)) == record
 
 
-def test_intervals_hold_the_figure(script: Script) -> None:
-    compare = script("agreement_compare")
-    intervals = compare.by_finger(
-        list(np.linspace(0, 1, 40)), lambda some: {"mean": float(np.mean(some))}
-    )
-    mean, low, high = intervals["mean"]
-    assert low < mean < high
-    # a mean of 40 draws: two standard errors to each side
-    assert high - low == pytest.approx(
-        2 * 1.96 * np.linspace(0, 1, 40).std() / np.sqrt(40), rel=0.15
-    )
-
-
 @pytest.mark.slow
 def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
     """Directions run along the true ridges, with the right sign; ours of the true relief are mostly
@@ -108,7 +95,7 @@ def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
     )
     measure = script("agreement_measure")
     record = measure.prints_of(
-        script("agreement_truth").true_source(truth, empty), truth, ("unroll",), quality=False
+        script("agreement_truth").true_source(truth, empty), truth, ("unroll",)
     )
     counted = script("agreement_compare").counts(record["unroll"]["print"], 13, (0.0, 60.0))
     figures = script("agreement_compare").recall_precision([counted])

@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, Script
-from spiral_prints import spiral_print
-from splitknit.reconstruction import Surface
-from splitknit_match.prints.minutiae_record import Minutiae
 
 FOLDER = VALIDATION / "published"
 
@@ -48,55 +45,6 @@ def test_minutiae_in_space(script: Script, name: str, kind: str) -> None:
     assert alike(side(1), side(2, True)) < 0.15
 
 
-def test_surface_codes(script: Script) -> None:
-    codes = script("surface_code")
-    rng = np.random.default_rng(0)
-    index = np.kron(rng.random((40, 30)), np.ones((4, 4)))
-    whole = np.ones(index.shape, bool)
-    assert codes.code_of(np.array([[0.75, 0.25]]), np.ones((1, 2), bool)) is None
-    still, moved = (codes.code_of(np.roll(index, shift, axis=0), whole) for shift in (0, 12))
-    different = codes.code_of(np.kron(rng.random((40, 30)), np.ones((4, 4))), whole)
-    assert codes.similarity(still, moved) == codes.similarity(moved, still) > 0.9
-    assert codes.similarity(still, different) < 0.7
-
-
-def test_a_vote(script: Script) -> None:
-    def minutia(x: int) -> Minutiae:
-        small = np.array([1], np.uint8)
-        return Minutiae(np.array([x]), np.array([20]), np.zeros(1), small, small, (40, 40))
-
-    voted = script("voted").vote([minutia(10), minutia(12), minutia(30)])
-    assert (voted.x_px.tolist(), voted.quality.tolist()) == ([11], [67])
-
-
-def test_pores_are_found_and_paired(script: Script) -> None:
-    pores = script("pores")
-    across = np.cos(2 * np.pi * np.arange(200, dtype=np.float32) / 30)[:, None] * np.ones(
-        (1, 200), np.float32
-    )
-    pit = np.exp(-((np.arange(200) - 100) ** 2 + (np.arange(200)[:, None] - 90) ** 2) / 18).astype(
-        np.float32
-    )
-    pores_px = pores.find_pores(0.03 * (across - pit), np.ones((200, 200), bool), 0.015)
-    assert pores_px[:, :2].tolist() == [[100.0, 90.0]]
-
-    def side(places: np.ndarray, down_px: int) -> object:
-        """A flat finger with known pores, `down_px` further down."""
-        ridge = -spiral_print((0, down_px)).astype(np.float32)[100:400] * np.float32(1e-4)
-        flat, normals = np.zeros_like(ridge), np.zeros((*ridge.shape, 3), np.float32)
-        normals[..., 2] = 1
-        surface = Surface(
-            ridge, flat, normals, np.ones(ridge.shape, bool), 25.4 / 500, np.eye(3), ridge.shape
-        )
-        return pores.pore_template(surface, places + np.array([0, down_px]))
-
-    places, others = (
-        np.random.default_rng(seed).uniform([60, 60], [320, 240], (400, 2)) for seed in (0, 9)
-    )
-    assert pores.pore_match(side(places, 0), side(places, 12)).similarity > 0.9
-    assert pores.pore_match(side(places, 0), side(others, 12)).similarity < 0.5
-
-
 def test_features_that_the_thesis_dropped(script: Script) -> None:
     rng = np.random.default_rng(0)
     image, different = (
@@ -107,14 +55,6 @@ def test_features_that_the_thesis_dropped(script: Script) -> None:
             extract(values, 30.0) for values in (image, np.roll(image, 1, axis=1), different)
         )
         assert np.linalg.norm(still - moved) < np.linalg.norm(still - away)
-
-
-def test_knuckles_are_their_owners(script: Script) -> None:
-    draw = script("knuckles").draw_knuckle
-    places = [
-        [crease.v_mm for crease in finger.skin.creases] for finger in (draw(3), draw(3, 1), draw(4))
-    ]
-    assert places[0] == places[1] != places[2]
 
 
 def test_scores_of_people_are_a_score_file(script: Script, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Predicting a light that was left out, small; and the checks of the simulator's optics."""
+"""Predicting a light that was left out, small."""
 
 from __future__ import annotations
 
@@ -165,10 +165,3 @@ def stored(name: str) -> list[list[str]]:
 def test_the_stored_table_is_that_of_the_results(script: Script) -> None:
     results = json.loads((VALIDATION / "real_skin" / "results.json").read_text())
     assert script("run").table(results) == stored("predictions.csv")
-
-
-def test_the_optics_pass_or_are_explained(script: Script) -> None:
-    optics = script("optics")
-    checks = optics.checks()
-    assert all(check.passed or check.why for check in checks)
-    assert optics.table(checks) == stored("optics.csv"), "run validation/real_skin/optics.py"

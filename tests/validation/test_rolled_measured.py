@@ -62,20 +62,17 @@ def test_every_point_is_held_against_the_pixel_it_came_from(scene, monkeypatch) 
     assert front.blended.known.sum() < 0.85 * rolled.blended.known.sum()
     assert figures["rolled"]["0-30"] > 0.9
     assert figures["rolled"]["60-90"] > 0.8
-    assert figures["seams"]["right"]["faded_um"] < 10
     assert wrong["rolled"]["60-90"] < 0.5  # the mirror's truth counts there
     assert wrong["front"] == figures["front"]
 
 
 def test_a_table_of_captures() -> None:
-    seam = {"length_mm": 14.0, "faded_um": 6.0, "cut_um": 9.0, "no_seam_um": 7.0}
     bands = {"0-30": 0.9, "30-60": None}
     captures = [
         {
             "seed": k,
             "coverage_deg": 200.0 + k,
             "coverage_front_deg": 140.0,
-            "seams": {"left": seam, "right": None},
             "rolled": bands,
             "front": bands,
             "surface_rms_mm": 0.2,
@@ -87,9 +84,7 @@ def test_a_table_of_captures() -> None:
     with scripts_of(FOLDER) as script:
         whole = script("rolled").summary(captures)
     assert whole["coverage_deg"] == [201.0, 200.0, 202.0]
-    assert whole["seam_step_um"] == [6.0, 6.0, 6.0]
-    assert whole["seam_step_pooled_um"] == 6.0
-    assert (whole["seams"], whole["seams_above_10_um"], whole["views_cut"]) == (3, 0, 1)
+    assert whole["views_cut"] == 1
     assert whole["ridges_apart_um"] == [50.0, 50.0, 50.0]
     assert whole["rolled"] == {"0-30": [0.9, 0.9, 0.9], "30-60": None}
 

@@ -176,7 +176,7 @@ def test_without_absorption_all_light_comes_out_again_as_from_a_matt_surface():
 @needs_numba
 def test_a_steep_side_is_lit_as_walks_in_an_elliptic_cylinder_say():
     # radiance at x = 0, 5.55 and -7.4 mm (slant 0, 33 and 58 deg) under a light of +x:
-    # `volume_radiance` of validation/twin/volume.py, 200,000 walks each
+    # random walks, 200,000 each (validation/twin)
     pitch_mm = 0.1
     x = (np.arange(221) - 110.0) * pitch_mm
     inside = np.broadcast_to(np.abs(x) < 8.0, (40, 221))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import io
 import json
 import re
 import sys
@@ -18,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from summary import ROWS, Row
+
+from splitknit.io.csv_table import csv_text
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -131,7 +132,7 @@ def population_csv(population: Tree) -> str:
                 met = "" if wanted is None else f"{100 * figure[f'meets_{which}']:.0f}"
                 asked += ["" if wanted is None else _wanted(row, wanted), met]
             lines.append([*first, key, *(f"{value:.{row.digits}f}" for value in values), *asked])
-    return _csv(lines)
+    return csv_text(lines)
 
 
 def singles_csv(population: Tree, preset: str = "metric") -> str:
@@ -151,13 +152,7 @@ def singles_csv(population: Tree, preset: str = "metric") -> str:
         ]
         pattern = single["pattern"].replace("_", " ")
         lines.append([str(single["seed"]), pattern, *optics, f"{single['melanin']:.4f}", *cells])
-    return _csv(lines)
-
-
-def _csv(lines: Iterable[Sequence[str]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(lines)
-    return text.getvalue()
+    return csv_text(lines)
 
 
 def filled(page: str, texts: Mapping[str, str]) -> str:

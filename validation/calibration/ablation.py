@@ -16,7 +16,6 @@ Finished parts are kept: a second call goes on. Results: ``ablation.json`` in
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import subprocess
 import sys
@@ -29,6 +28,7 @@ import numpy as np
 
 from splitknit.accuracy import compare
 from splitknit.capture import Capture
+from splitknit.io.csv_table import csv_text
 from splitknit.io.rig import read_rig
 from splitknit.model import Led, Rig
 from splitknit.nominal import nominal_rig
@@ -254,8 +254,7 @@ def main() -> None:
     for row in rows:
         print(", ".join(row))
     if options.write is not None:
-        with options.write.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows(rows)
+        options.write.write_text(csv_text(rows), encoding="utf-8")
 
 
 if __name__ == "__main__":

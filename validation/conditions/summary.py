@@ -8,7 +8,6 @@ said), and prints the table of ``docs/experiments/conditions.md``: the first pre
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import re
 from collections import Counter
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from splitknit.io.csv_table import csv_text
 from splitknit_match.prints.folder import advice
 from splitknit_match.prints.print_quality import PrintQuality, QualityFigures, score_of
 
@@ -241,10 +241,8 @@ def main() -> None:
     presets = sorted(
         {row["preset"] for row in rows}, key=lambda name: (name != "metric", name != "snk", name)
     )
-    with (options.out / "conditions.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(table[0]))
-        writer.writeheader()
-        writer.writerows(table)
+    lines = csv_text([table[0], *(row.values() for row in table)])
+    (options.out / "conditions.csv").write_text(lines, encoding="utf-8")
     document = {
         "fingers": sorted({row["seed"] for row in rows}),
         "captures": len(

@@ -10,7 +10,6 @@ doubted.
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +20,7 @@ import numpy as np
 
 from splitknit import BadInput, compare, reconstruct
 from splitknit.capture import Capture
+from splitknit.io.csv_table import csv_text
 from splitknit_simulator import simulate_capture
 
 TABLES = Path(__file__).parent / "tables"
@@ -217,10 +217,8 @@ def main() -> None:
             row = row_of(name, finger, damaged, dict(truth))
             rows.append(row)
             print(row, flush=True)
-    with (TABLES / "damaged.csv").open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    table = csv_text([COLUMNS, *(row.values() for row in rows)])
+    (TABLES / "damaged.csv").write_text(table, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ none of theirs.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 import pickle
@@ -25,8 +24,9 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
+from splitknit.io.csv_table import csv_text
 from splitknit.io.prints import read_print_png
 from splitknit_match.gallery.file import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
@@ -258,14 +258,12 @@ def write(ranks: list[tuple[str, int]]) -> None:
         )
         drawn = sums[rng.integers(len(fingers), size=(2000, len(fingers)))].sum(axis=1)
         ends = np.percentile(drawn[:, 0] / drawn[:, 1], (2.5, 97.5))
-        low = beta.ppf(0.025, lost, n - lost + 1) if lost else 0.0
-        high = beta.ppf(0.975, lost + 1, n - lost)
+        low, high = binomtest(lost, n).proportion_ci(method="exact")
         rows.append(
             [GALLERY_SIZE, compared, n, lost, *(f"{value:.4f}" for value in (low, high, *ends))]
         )
         print(*rows[-1])
-    with (HERE / "tables" / "index.csv").open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerows(rows)
+    (HERE / "tables" / "index.csv").write_text(csv_text(rows), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ finger are not independent. Of the probe's sensor are only the few first presses
 from __future__ import annotations
 
 import argparse
-import csv
 import os
 import pickle
 import tempfile
@@ -25,8 +24,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from index import FOLDS, HERE, PPI, joined, templates
-from scipy.stats import beta
+from scipy.stats import binomtest
 
+from splitknit.io.csv_table import csv_text
 from splitknit.io.prints import read_print_png
 from splitknit_match.gallery.file import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
@@ -136,13 +136,11 @@ def write(counts: dict[tuple[str, str], list[tuple[bool, bool, float]]]) -> None
         missed = sum(not right for _, right, _ in answers)
         stated = float(np.mean([expected for *_, expected in answers]))
         for rate, count in [("FPIR", wrong)] + ([("FNIR", missed)] if case == "present" else []):
-            low = beta.ppf(0.025, count, n - count + 1) if count else 0.0
-            high = beta.ppf(0.975, count + 1, n - count) if count < n else 1.0
+            low, high = binomtest(count, n).proportion_ci(method="exact")
             expectation = f"{stated:.3g}" if rate == "FPIR" else ""
             rows.append([kind, case, FMR, rate, n, count, f"{low:.4f}", f"{high:.4f}", expectation])
             print(*rows[-1])
-    with (HERE / "tables" / "rates.csv").open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerows(rows)
+    (HERE / "tables" / "rates.csv").write_text(csv_text(rows), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -352,37 +352,6 @@ def figures(run: SetScores, settings: BootstrapSettings) -> dict[str, Any]:
     }
 
 
-HEAD = "".join(
-    name.rjust(width) if k > 1 else name.ljust(width)
-    for k, (name, width) in enumerate(
-        {
-            "set": 16,
-            "system": 16,
-            "EER": 20,
-            "GAR@1%": 8,
-            "GAR@.1%": 9,
-            "GAR@0": 8,
-            "FAR(0)": 8,
-            "thr 1%": 9,
-            "FVC": 7,
-            "fail": 6,
-            "ms": 7,
-        }.items()
-    )
-)
-
-
-def line(name: str, system: str, row: dict[str, Any]) -> str:
-    """One row of the table."""
-    eer = "{:.1f} [{:.1f}, {:.1f}]".format(*row["eer"])
-    gar_1, gar_01, gar_0 = (row[name][0] for name in ("gar_far_1", "gar_far_0.1", "gar_far_0"))
-    return (
-        f"{name:16}{system:16}{eer:>20}{gar_1:8.1f}{gar_01:9.1f}{gar_0:8.1f}"
-        f"{row['far_at_0']:8.2f}{row['threshold_far_1']:9.2f}{row['fvc_eer']:7.1f}"
-        f"{row['genuine_failed']:6d}{row['ms']:7.1f}"
-    )
-
-
 def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(
@@ -411,7 +380,6 @@ def main() -> None:
     job = Job(options.cache, options.turned)
     settings = BootstrapSettings(replicates=300, targets=(0.01, 0.001, FAR_0), curve_points=0)
     facts: dict[str, Any] = {}
-    print(HEAD, flush=True)
     with multiprocessing.Pool(2) as pool:
         for system in options.systems:
             runs = {}
@@ -419,7 +387,7 @@ def main() -> None:
             for name, run in zip(sets, pool.imap(compared, tasks), strict=True):
                 runs[name] = run
                 facts.setdefault(system, {})[name] = figures(run, settings)
-                print(line(name, system, facts[system][name]), flush=True)
+                print(name, system, facts[system][name], flush=True)
             if system == "fusion" and options.fit:
                 facts["fitted"] = fitted([runs["simulated_fit"]])
                 print("fitted:", facts["fitted"], flush=True)
@@ -428,12 +396,12 @@ def main() -> None:
                 parts["fusion, others"] = left_out(runs)
                 for name, run in parts["fusion, others"].items():
                     facts.setdefault("fusion, others", {})[name] = figures(run, settings)
-                    print(line(name, "fusion, others", facts["fusion, others"][name]), flush=True)
+                    print(name, "left out:", facts["fusion, others"][name], flush=True)
             for kind, part in parts.items():
                 several = [run for name, run in part.items() if name in REAL]
                 if len(several) > 1:
                     facts[kind]["pooled"] = figures(pooled(several, kind), settings)
-                    print(line("pooled", kind, facts[kind]["pooled"]), flush=True)
+                    print("pooled", kind, facts[kind]["pooled"], flush=True)
     if options.write:
         known = json.loads(OUT.read_text(encoding="utf-8")) if OUT.is_file() else {}
         known |= {"fitted": facts.pop("fitted")} if "fitted" in facts else {}

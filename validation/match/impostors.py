@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -105,6 +105,27 @@ ROUTES = {
 }
 
 
+def table_of(impostors: Sequence[float], what: str, by: str, **more: float) -> dict[str, Any]:
+    """What the matcher reads: rates of the scores of `impostors`."""
+    table = calibrate_scores(np.asarray(impostors))
+    return {
+        "what": what,
+        "by": by,
+        "impostors": table.impostors,
+        **more,
+        "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
+        "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
+        "impostor_median": round(float(np.median(impostors)), 4),
+    }
+
+
+def ship(name: str, table: dict[str, Any], file: str = "") -> None:
+    """Write a table beside the matcher, and print its ends."""
+    place = FOLDER / (file or TABLES[name])
+    place.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    print(name, table["impostors"], table["impostor_median"], table["similarity"][-1], flush=True)
+
+
 def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(
@@ -125,23 +146,10 @@ def main() -> None:
         if number % 20 == 19:
             print(f"{number + 1} fingers", flush=True)
     for name, kept in sides.items():
-        scores = np.array([ROUTES[name].score(a, b) for a, b in itertools.combinations(kept, 2)])
-        table = calibrate_scores(scores)
-        facts = {
-            "what": f"{ROUTES[name].what} of {options.fingers} simulated fingers",
-            "by": "validation/match/impostors.py, all pairs",
-            "seed": options.seed,
-            "impostors": table.impostors,
-            "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
-            "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
-            "impostor_median": round(float(np.median(scores)), 4),
-            "impostor_largest": round(float(scores.max()), 4),
-        }
-        (FOLDER / TABLES[name]).write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
-        print(
-            {key: value for key, value in facts.items() if key not in ("similarity", "fmr")},
-            flush=True,
-        )
+        scores = [ROUTES[name].score(a, b) for a, b in itertools.combinations(kept, 2)]
+        what = f"{ROUTES[name].what} of {options.fingers} simulated fingers"
+        by = "validation/match/impostors.py, all pairs"
+        ship(name, table_of(scores, what, by, seed=options.seed))
 
 
 if __name__ == "__main__":

@@ -30,13 +30,12 @@ from typing import Any
 import numpy as np
 from bozorth3 import bozorth3
 from fvc import DATA
-from impostors import FOLDER
+from impostors import ship, table_of
 
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.scores import Scores, ids_of
-from splitknit_match.matching.methods import TABLES, similarity_at
+from splitknit_match.matching.methods import similarity_at
 from splitknit_match.matching.minutiae_match import minutiae_match
-from splitknit_match.matching.score import calibrate_scores
 from splitknit_match.prints.from_file import minutiae_of
 from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.records.minutiae_files import read_minutiae_record
@@ -45,7 +44,6 @@ from splitknit_match.threads import one_blas_thread
 OUT = Path(__file__).with_name("records.json")
 CHOSEN_ON = ("fvc2002_db1b", "fvc2002_db3b", "fvc2004_db1b", "fvc2004_db3b")
 LEFT_OUT = ("fvc2002_db2b", "fvc2002_db4b", "fvc2004_db2b", "fvc2004_db4b")
-ROUTE = "minutiae_of_records"
 Named = dict[str, Minutiae]
 """From ``101_1`` to its minutiae."""
 
@@ -95,20 +93,6 @@ def impostors(sets: tuple[str, ...]) -> np.ndarray:
     )
 
 
-def rates(scores: np.ndarray) -> dict[str, Any]:
-    """The table that ships."""
-    table = calibrate_scores(scores)
-    return {
-        "what": f"ISO templates of {5 * len(CHOSEN_ON)} real fingers, four FVC sets",
-        "by": "validation/match/records.py --write",
-        "impostors": table.impostors,
-        "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
-        "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
-        "impostor_median": round(float(np.median(scores)), 4),
-        "impostor_largest": round(float(scores.max()), 4),
-    }
-
-
 def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(
@@ -119,8 +103,9 @@ def main() -> None:
     options = parser.parse_args()
     one_blas_thread()
     if options.write:
-        document = json.dumps(rates(impostors(CHOSEN_ON)), indent=1)
-        (FOLDER / TABLES[ROUTE]).write_text(document + "\n", encoding="utf-8")
+        what = f"ISO templates of {5 * len(CHOSEN_ON)} real fingers, four FVC sets"
+        table = table_of(impostors(CHOSEN_ON), what, "validation/match/records.py --write")
+        ship("minutiae_of_records", table)
     settings = BootstrapSettings(replicates=300, targets=(0.001,), curve_points=0)
     facts: dict[str, Any] = {"chosen_on": CHOSEN_ON, "left_out": LEFT_OUT}
     genuine = {}

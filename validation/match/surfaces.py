@@ -12,27 +12,25 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import pickle
 from pathlib import Path
 
 import cv2
 import numpy as np
-from impostors import FINE, FOLDER
+from impostors import FINE, ship, table_of
 from numpy.typing import NDArray
 from pressed_prints import SENSORS, press
 
 from splitknit.io.csv_table import csv_text
+from splitknit_match.evaluation.rates import roc
 from splitknit_match.matching.inputs import print_of_surface, print_template
 from splitknit_match.matching.methods import (
-    TABLES,
     Compared,
     compare_templates,
     fmr_basis,
     similarity_at,
 )
 from splitknit_match.matching.ridge import Prepared
-from splitknit_match.matching.score import calibrate_scores
 from splitknit_simulator.finger.finger import draw_finger
 
 OUT = Path(__file__).parent / "tables" / "surfaces.csv"
@@ -59,9 +57,7 @@ def rows_of(name: str, impostors: list[Compared], genuine: list[Compared]) -> li
     scores = np.array([pair.similarity for pair in impostors if pair.compared])
     kept = [pair for pair in genuine if pair.compared]
     answers = [pair.rated(None).answer for pair in genuine]
-    own = np.array([pair.similarity for pair in kept]) if kept else np.zeros(0)
-    levels = np.unique(np.concatenate([own, scores]))
-    eer = min((max((own < s).mean(), (scores >= s).mean()) for s in levels), default=np.nan)
+    own = np.array([pair.similarity for pair in kept])
     return [
         name,
         len(scores),
@@ -71,7 +67,7 @@ def rows_of(name: str, impostors: list[Compared], genuine: list[Compared]) -> li
         len(genuine),
         answers.count("match"),
         answers.count("undecided"),
-        "" if not kept else round(100 * float(eer), 1),
+        "" if not kept else round(100 * roc(own, scores).equal_error().value, 1),
         sum(pair.rated(None).answer == "match" for pair in impostors),
     ]
 
@@ -113,17 +109,9 @@ def main() -> None:
         own = [pair for pair in impostors if pair.scores == name]
         pairs[name] = own, [pair for pair in genuine if pair.scores == name]
         if options.write:
-            table = calibrate_scores([pair.similarity for pair in own if pair.compared])
-            kept = {
-                "what": what,
-                "by": "validation/match/surfaces.py --write",
-                "seed": SEED,
-                "impostors": table.impostors,
-                "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
-                "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
-            }
-            place = FOLDER / TABLES[name]
-            place.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+            scores = [pair.similarity for pair in own if pair.compared]
+            by = "validation/match/surfaces.py --write"
+            ship(name, table_of(scores, what, by, seed=SEED))
         print(name, len(own), flush=True)
     for name, (own, genuine) in pairs.items():
         rows.append(rows_of(name, own, genuine))

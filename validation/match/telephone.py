@@ -13,33 +13,36 @@ quality. Everything here is drawn by us: no photograph of a real finger.
 from __future__ import annotations
 
 import argparse
-import csv
-import json
 import pickle
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import skimage.data
+from fvc import FAR_0
+from impostors import ship, table_of
 from numpy.typing import NDArray
 from pressed_prints import SENSORS, press
 from scipy.ndimage import map_coordinates
 from scipy.special import ellipeinc
 
 from splitknit.errors import BadInput
-from splitknit_match.matching import methods
+from splitknit.io.csv_table import csv_text
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit_match.evaluation.scores import Scores, ids_of
 from splitknit_match.matching.fusion import fused_photo
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
-from splitknit_match.matching.score import FmrTable, calibrate_scores
 from splitknit_match.matching.template import Template
 from splitknit_match.prints.fingerphoto import MIN_QUALITY, finger_of_photo
 from splitknit_simulator.finger.finger import draw_finger
 
 TABLES = Path(__file__).resolve().parent / "tables"
+PICTURES = Path(skimage.data.__file__).parent
 SEED = 47_000
 CANVAS = (1632, 1224)
 """Rows, columns: half of a telephone's 3264 x 2448."""
@@ -93,13 +96,6 @@ def encoded(light: Light) -> Picture:
         light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055
     )
     return np.rint(255.0 * value).astype(np.uint8)
-
-
-def default_pictures() -> Path:
-    """Where scikit-image keeps its pictures."""
-    import skimage.data
-
-    return Path(skimage.data.__file__).parent
 
 
 @lru_cache(maxsize=8)
@@ -227,7 +223,7 @@ def colour_of_skin(rng: np.random.Generator) -> Array:
     return linear(255.0 * cv2.cvtColor(drawn, cv2.COLOR_LAB2RGB)[0, 0].astype(np.float64))
 
 
-def behind(scene: str, folder: Path, rng: np.random.Generator) -> Light:
+def behind(scene: str, rng: np.random.Generator) -> Light:
     """A background on the canvas, in linear light."""
     rows, columns = CANVAS
     if scene == "paper":
@@ -240,7 +236,7 @@ def behind(scene: str, folder: Path, rng: np.random.Generator) -> Light:
         "garden": ("grass.png", "gravel.png")[rng.integers(2)],
         "room": ("coffee.png", "motorcycle_left.png")[rng.integers(2)],
     }.get(scene) or NATURAL[rng.integers(len(NATURAL))]
-    stored = cv2.imread(str(folder / name), cv2.IMREAD_COLOR)
+    stored = cv2.imread(str(PICTURES / name), cv2.IMREAD_COLOR)
     assert stored is not None, name
     scale = max(rows / stored.shape[0], columns / stored.shape[1]) * rng.uniform(1.0, 1.8)
     picture = cv2.resize(stored[..., ::-1], None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
@@ -275,40 +271,15 @@ def behind(scene: str, folder: Path, rng: np.random.Generator) -> Light:
 def bodies_of(body: Body, hand: str, rng: np.random.Generator) -> list[Body]:
     """The finger and what is beside or behind it."""
     bodies = [body]
-    if hand != "one finger":
-        others = {"second finger": (1,), "hand": (1, -1, 2), "fist": ()}[hand]
-        for k in others:
-            extra = body_of(body.number + 500 + k)
-            gap = (2.0 + rng.uniform(0.02, 0.6)) * body.half_mm * k
-            deep = rng.uniform(0, 6) if hand == "hand" else rng.uniform(2, 15)
-            bodies.append(
-                Body(
-                    extra.half_mm,
-                    extra.depth,
-                    extra.taper,
-                    extra.length_mm,
-                    extra.pad_mm,
-                    gap,
-                    deep,
-                    rng.uniform(-14, 4),
-                    body.number + 500 + k,
-                )
-            )
-        if hand == "fist":
-            for k in range(4):
-                bodies.append(
-                    Body(
-                        11 + k,
-                        0.9,
-                        0,
-                        12,
-                        10,
-                        rng.uniform(-14, 14),
-                        rng.uniform(4, 14),
-                        rng.uniform(-62, -42),
-                        999,
-                    )
-                )
+    for k in {"second finger": (1,), "hand": (1, -1, 2)}.get(hand, ()):
+        extra = body_of(body.number + 500 + k)
+        gap = (2.0 + rng.uniform(0.02, 0.6)) * body.half_mm * k
+        deep = rng.uniform(0, 6) if hand == "hand" else rng.uniform(2, 15)
+        ahead = rng.uniform(-14, 4)
+        bodies.append(replace(extra, aside_mm=gap, behind_mm=deep, ahead_mm=ahead))
+    for k in range(4 if hand == "fist" else 0):
+        aside, deep, ahead = rng.uniform(-14, 14), rng.uniform(4, 14), rng.uniform(-62, -42)
+        bodies.append(Body(11 + k, 0.9, 0, 12, 10, aside, deep, ahead, 999))
     return bodies
 
 
@@ -363,7 +334,7 @@ def view(body: Body, hand: str, rng: np.random.Generator) -> tuple[Array, Array,
     return rays @ rotation, eye, rotation, px_per_mm
 
 
-def photographed(number: int, take: int, folder: Path, hand: str, scene: str) -> Telephone:
+def photographed(number: int, take: int, hand: str, scene: str) -> Telephone:
     """Photograph `take` of a finger, the same each time."""
     rng = np.random.default_rng([number, take, 2])
     rows, columns = CANVAS
@@ -379,7 +350,7 @@ def photographed(number: int, take: int, folder: Path, hand: str, scene: str) ->
         "gloss": rng.choice([0, 0.05, 0.2]),
     }
     skin = colour_of_skin(rng)
-    picture = behind(scene, folder, rng)
+    picture = behind(scene, rng)
     masks = [np.zeros(CANVAS, np.bool_) for _ in bodies]
     hits = []
     for finger in bodies:
@@ -423,7 +394,7 @@ def drawn(number: int, take: int, work: Path) -> Telephone:
     file = work / f"photo_{number}_{take}.pickle"
     if not file.is_file():
         hand, scene = HANDS[(number + take) % 4], SCENES[(number // 4 + take) % 4]
-        file.write_bytes(pickle.dumps(photographed(number, take, default_pictures(), hand, scene)))
+        file.write_bytes(pickle.dumps(photographed(number, take, hand, scene)))
     kept: Telephone = pickle.loads(file.read_bytes())
     return kept
 
@@ -457,143 +428,80 @@ def scores(count: int, work: Path, write: bool) -> None:
     photos = [
         (number, take, *side_of(number, take, work)) for take in (0, 1) for number in range(count)
     ]
-    rows: list[dict[str, object]] = []
-
+    rows: list[Row] = []
     for k, (i, take, template, quality) in enumerate(photos):
         side = None if template is None else Prepared(template)
-        for j in range(count):
-            score = (
-                -np.inf
-                if side is None
-                else fused_photo(side, presses[j], (True, False))[0].similarity
-            )
-            rows.append(
-                {
-                    "a": f"{i}.{take}",
-                    "b": f"press {j}",
-                    "quality": f"{quality:.0f}",
-                    "score": f"{score:.3f}",
-                }
-            )
-        for j, take_b, template_b, quality_b in photos[k + 1 :]:
-            if (j - i) % count > 6:
-                continue
+        others = [(f"press {j}", presses[j], quality) for j in range(count)]
+        others += [
+            (f"{j}.{other_take}", None if other is None else Prepared(other), min(quality, least))
+            for j, other_take, other, least in photos[k + 1 :]
+            if (j - i) % count <= 6
+        ]
+        for name, other, least in others:
             score = -np.inf
-            if side is not None and template_b is not None:
-                score = fused_photo(side, Prepared(template_b), (True, True))[0].similarity
-            least = min(quality, quality_b)
-            rows.append(
-                {
-                    "a": f"{i}.{take}",
-                    "b": f"{j}.{take_b}",
-                    "quality": f"{least:.0f}",
-                    "score": f"{score:.3f}",
-                }
-            )
+            if side is not None and other is not None:
+                free = True, not name.startswith("press")
+                score = fused_photo(side, other, free)[0].similarity
+            rows.append(Row(f"{i}.{take}", name, round(least), round(float(score), 3)))
         print(i, take, f"{quality:.0f}", flush=True)
-    write_table("telephone_scores.csv", rows)
-    print(
-        "highest impostor:",
-        {kind: f"{table.similarity[-1]:.2f}" for kind, table in tables(rows, write).items()},
-    )
-    rated(rows)
-
-
-def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
-    """Tables of impostors: of two photographs, of a photograph and a press."""
-    fmr_tables = {}
-    fingers = len({str(row["a"])[:-2] for row in rows})
-    for kind, what, sides in (
-        ("_alone", "against each other", (False,)),
-        ("_and_prints", "against presses", (True,)),
-    ):
-        chosen = [row for row in rows if ("press" in str(row["b"])) in sides and not genuine(row)]
-        scored = np.array([float(str(row["score"])) for row in chosen])
-        table = fmr_tables[kind] = calibrate_scores(scored[np.isfinite(scored)])
-        kept = {
-            "what": f"drawn telephone photographs of {fingers} simulated fingers, {what}",
-            "by": "validation/match/telephone.py --write",
-            "seed": SEED,
-            "impostors": table.impostors,
-            "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
-            "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
-        }
+    (TABLES / "telephone_scores.csv").write_text(csv_text([Row._fields, *rows]), encoding="utf-8")
+    for pressed, (kind, what) in KINDS.items():
+        of_kind = [row for row in rows if row.pressed == pressed]
         if write:
-            place = Path(methods.__file__).with_name(f"match_fmr_fingerphotos{kind}.json")
-            place.write_text(json.dumps(kept) + "\n", encoding="utf-8")
-    return fmr_tables
+            impostors = [row.score for row in of_kind if not row.same and np.isfinite(row.score)]
+            words = f"drawn telephone photographs of {count} simulated fingers, {what}"
+            by = "validation/match/telephone.py --write"
+            ship(f"fingerphotos {kind}", table_of(impostors, words, by, seed=SEED))
+        rated(kind, of_kind)
 
 
-def genuine(row: dict[str, object]) -> bool:
-    """Whether both sides of a row of scores are of one finger."""
-    return str(row["a"]).split(".")[0] == str(row["b"]).removeprefix("press ").split(".")[0]
+class Row(NamedTuple):
+    """A comparison of a photograph with another one, or with a press."""
+
+    a: str
+    b: str
+    quality: int
+    score: float
+
+    @property
+    def pressed(self) -> bool:
+        """Whether the other side is a press."""
+        return self.b.startswith("press")
+
+    @property
+    def fingers(self) -> tuple[str, str]:
+        """Of both sides."""
+        return self.a.split(".")[0], self.b.removeprefix("press ").split(".")[0]
+
+    @property
+    def same(self) -> bool:
+        """Whether both sides are of one finger."""
+        return len(set(self.fingers)) == 1
 
 
-def rated(rows: list[dict[str, object]]) -> None:
-    """Equal error rate and rates above all impostors of a kind, by least quality; intervals of 95 %
+KINDS = {True: ("and prints", "against presses"), False: ("alone", "against each other")}
+
+
+def rated(kind: str, rows: list[Row]) -> None:
+    """Equal error rate and misses above every impostor's score, by least quality; intervals of 95 %
     draw fingers."""
-    rng = np.random.default_rng(0)
-    fmr_tables = tables(rows, write=False)
-    table = np.array(
-        [
-            (
-                int(str(row["a"]).split(".")[0]),
-                genuine(row),
-                "press" in str(row["b"]),
-                row["quality"],
-                row["score"],
-            )
-            for row in rows
-        ],
-        dtype=np.float64,
-    )
-    for press_side, name, kind in (
-        (1, "photograph and press", "_and_prints"),
-        (0, "two photographs", "_alone"),
-    ):
-        threshold = float(fmr_tables[kind].similarity[-1])
-        for least in (0, MIN_QUALITY, 30, 50):
-            part = table[(table[:, 2] == press_side) & (table[:, 3] >= least)]
-            fingers = np.unique(part[part[:, 1] == 1, 0])
-
-            def figures(
-                chosen: Array, part: Array = part, threshold: float = threshold
-            ) -> tuple[float, float, float]:
-                drawn_rows = np.vstack([part[part[:, 0] == finger] for finger in chosen])
-                same, impostor = (
-                    drawn_rows[drawn_rows[:, 1] == 1, 4],
-                    drawn_rows[drawn_rows[:, 1] == 0, 4],
-                )
-                levels = np.unique(drawn_rows[np.isfinite(drawn_rows[:, 4]), 4])
-                errors = [
-                    max((same < level).mean(), (impostor >= level).mean()) for level in levels
-                ]
-                return (
-                    100 * min(errors),
-                    100 * (same < threshold).mean(),
-                    100 * (impostor >= threshold).mean(),
-                )
-
-            resampled = np.array([figures(rng.choice(fingers, len(fingers))) for _ in range(300)])
-            low, high = np.percentile(resampled, [2.5, 97.5], axis=0)
-            words = [
-                f"{v:.1f} [{a:.1f}, {b:.1f}]"
-                for v, a, b in zip(figures(fingers), low, high, strict=True)
-            ]
-            print(
-                f"{name}, quality {least} or more: {int(part[:, 1].sum())} genuine pairs of"
-                f" {len(fingers)} fingers, {int((part[:, 1] == 0).sum())} impostors: EER {words[0]}"
-                f" %, at {threshold:.2f} FNMR {words[1]} %, FMR {words[2]} %",
-                flush=True,
-            )
-
-
-def write_table(name: str, rows: list[dict[str, object]]) -> None:
-    """Write rows beside the other tables."""
-    with (TABLES / name).open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    settings = BootstrapSettings(replicates=300, targets=(FAR_0,), curve_points=0)
+    for least in (0, MIN_QUALITY, 30, 50):
+        part = [row for row in rows if row.quality >= least]
+        if not any(row.same for row in part):
+            continue
+        ids = ids_of(*zip(*(row.fingers for row in part), strict=True))
+        score = np.array([row.score if np.isfinite(row.score) else np.nan for row in part])
+        pairs = Scores(ids.same, score, finger=ids, name=kind)
+        figures = bootstrap(pairs, "finger", settings).figures
+        eer, gar = figures["eer"], figures[f"gar@{FAR_0:g}"]
+        print(
+            f"{kind}, quality {least:g} or more: {pairs.genuine.size} genuine pairs,"
+            f" {pairs.impostor.size} impostors: EER {100 * eer.value:.1f} [{100 * eer.low:.1f},"
+            f" {100 * eer.high:.1f}] %, FNMR above all impostors {100 - 100 * gar.value:.1f}"
+            f" [{100 - 100 * gar.high:.1f}, {100 - 100 * gar.low:.1f}] %",
+            flush=True,
+        )
 
 
 def main() -> int:

@@ -24,9 +24,8 @@ from typing import Any
 import cv2
 import numpy as np
 from fvc import KNOWN, REAL, Job, features_of, prints
-from impostors import FOLDER
+from impostors import ship, table_of
 from numpy.typing import NDArray
-from windows import table_of
 
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.methods import REAL_PRINTS, TABLES, _document, similarity_at
@@ -115,11 +114,9 @@ def main() -> None:
         name: rows[(rows[:, 2] == 0) & np.isfinite(rows[:, 3]), 3] for name, rows in sets.items()
     }
     if options.write:
-        table = table_of(
-            np.concatenate(list(impostor.values())), "pairs of real prints of seven sensors"
-        )
-        table["by"] = "validation/match/unseen.py"
-        (FOLDER / REAL_PRINTS).write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+        scores = np.concatenate(list(impostor.values()))
+        what = "pairs of real prints of seven sensors"
+        ship("real prints", table_of(scores, what, "validation/match/unseen.py"), REAL_PRINTS)
     left_out = {
         name: threshold_of(np.concatenate([impostor[each] for each in SETS if each != name]))
         for name in SETS

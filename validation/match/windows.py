@@ -25,15 +25,14 @@ from typing import Any
 import cv2
 import numpy as np
 from fvc import KNOWN, REAL, Image, Job, features_of, logistic, prints
-from impostors import FOLDER
+from impostors import ship, table_of
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
+from splitknit_match.evaluation.rates import roc
 from splitknit_match.matching import fusion
 from splitknit_match.matching.fusion import SMALL_MM2, fused_match
-from splitknit_match.matching.methods import TABLES
 from splitknit_match.matching.ridge import Prepared
-from splitknit_match.matching.score import calibrate_scores
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "windows.json"
@@ -258,11 +257,7 @@ def cllr(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
 
 def equal_error(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
     """Where both rates are equal, in percent."""
-    edges = np.unique(score)
-    missed = np.searchsorted(np.sort(score[same]), edges) / same.sum()
-    passed = 1 - np.searchsorted(np.sort(score[~same]), edges) / (~same).sum()
-    k = int(np.argmin(np.abs(missed - passed)))
-    return 50 * float(missed[k] + passed[k])
+    return round(100 * roc(score[same], score[~same]).equal_error().value, 2)
 
 
 def shares(passed: NDArray[np.bool_]) -> list[float]:
@@ -316,7 +311,7 @@ def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float6
                 facts["sizes"][f"{name}, {size} mm"] = {
                     "genuine": int((part & same).sum()),
                     "impostors": int((part & ~same).sum()),
-                    "eer": round(equal_error(score[part], same[part]), 1),
+                    "eer": equal_error(score[part], same[part]),
                 }
     windows_ = (kind != PRINTS) & small
     limit = float(np.sort(score[windows_ & ~same & (overlap >= RATED_MM2)])[-1])
@@ -337,7 +332,7 @@ def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float6
             facts[name] = {
                 "genuine": int((part & same).sum()),
                 "impostors": int((part & ~same).sum()),
-                "eer": round(equal_error(score[part], same[part]), 2),
+                "eer": equal_error(score[part], same[part]),
                 "cllr": round(cllr(score[part], same[part]), 3),
                 "at": [at_stated(score[part], rows[part], fmr) for fmr in (0.01, 0.001)],
             }
@@ -346,23 +341,10 @@ def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float6
                 if not (own & same).any():
                     continue
                 facts["sets"].setdefault(set_name, {})[name] = {
-                    "eer": round(equal_error(score[own], same[own]), 2),
+                    "eer": equal_error(score[own], same[own]),
                     "cllr": round(cllr(score[own], same[own]), 3),
                 }
     return facts, score, fitted(rows)
-
-
-def table_of(impostor: NDArray[np.float64], what: str, **more: float) -> dict[str, Any]:
-    """What the matcher reads."""
-    table = calibrate_scores(impostor)
-    return {
-        "what": what,
-        "by": "validation/match/windows.py",
-        "impostors": table.impostors,
-        **more,
-        "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
-        "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
-    }
 
 
 def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants) -> None:
@@ -373,8 +355,8 @@ def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants
     small = ~np.isnan(rows[:, 9])
     part = (rows[:, 0] != PRINTS) & small & ~same & (np.nan_to_num(rows[:, 9]) >= RATED_MM2)
     what = "windows of 16 to 100 mm² of real prints of seven sensors"
-    made_ = table_of(score[part], what, rated_mm2=RATED_MM2, excluded_mm2=EXCLUDED_MM2)
-    (FOLDER / TABLES["windows"]).write_text(json.dumps(made_, indent=1) + "\n", encoding="utf-8")
+    areas = {"rated_mm2": RATED_MM2, "excluded_mm2": EXCLUDED_MM2}
+    ship("windows", table_of(score[part], what, "validation/match/windows.py", **areas))
     document = {
         "fitted": {
             "overlap": constants.overlap.tolist(),

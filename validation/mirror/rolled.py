@@ -1,4 +1,4 @@
-"""The rolled-equivalent finger on the twin: coverage, ridges by slant and seams.
+"""The rolled-equivalent finger on the twin: coverage, surface, ridges by slant.
 
     python validation/mirror/rolled.py --fingers 8 --folder /tmp/rolled-captures
 
@@ -34,27 +34,11 @@ def simulated(folder: Path, seed: int, number: int, scale: float, model: str) ->
     out = folder / f"{seed}_{number}"
     if not (out / "capture.json").is_file():
         roll = ROLLS_DEG[number]
-        arguments = [
-            "simulate",
-            "--out",
-            str(out),
-            "--seed",
-            str(seed),
-            "--scale",
-            str(scale),
-            "--mirrors",
-            "left,right",
-        ]
-        arguments += [
-            "--no-nir",
-            "--impression",
-            str(number),
-            "--set",
-            f"pose.roll_deg=[{roll},{roll}]",
-        ]
-        arguments += ["--set", f"mirrors.model={model}"]
+        arguments = ["simulate", "--out", out, "--seed", seed, "--scale", scale]
+        arguments += ["--mirrors", "left,right", "--no-nir", "--impression", number]
+        arguments += ["--set", f"pose.roll_deg=[{roll},{roll}]", "--set", f"mirrors.model={model}"]
         program = [sys.executable, "-m", "splitknit.cli.main"]
-        if subprocess.run([*program, *arguments, "--json"], check=False).returncode != 0:
+        if subprocess.run([*program, *map(str, arguments), "--json"], check=False).returncode:
             raise SystemExit(f"{out} could not be simulated.")
     return out
 
@@ -87,31 +71,15 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
             return None
         return [round(float(v), 3) for v in (np.median(known), min(known), max(known))]
 
-    steps = [seam for row in rows for seam in row["seams"].values() if seam]
-
-    def pooled(word: str) -> float:
-        """Root mean square over all seams, each weighing by its length."""
-        squares = [seam[word] ** 2 * seam["length_mm"] for seam in steps]
-        return round(
-            float(np.sqrt(sum(squares) / max(sum(seam["length_mm"] for seam in steps), 1e-9))), 2
-        )
-
     result: dict[str, Any] = {
         "captures": len(rows),
         "fingers": len({row["seed"] for row in rows}),
         "coverage_deg": spread([row["coverage_deg"] for row in rows]),
         "coverage_front_deg": spread([row["coverage_front_deg"] for row in rows]),
-        "seams": len(steps),
-        "seams_above_10_um": sum(seam["faded_um"] > 10.0 for seam in steps),
-        "seam_step_pooled_um": pooled("faded_um"),
-        "same_step_beside_the_seams_pooled_um": pooled("no_seam_um"),
         "ridges_apart_um": spread(
             [value for row in rows for value in row["ridges_apart_um"].values()]
         ),
         "views_cut": sum(len(row["cut"]) for row in rows),
-        "seam_step_um": spread([seam["faded_um"] for seam in steps]),
-        "same_step_beside_the_seams_um": spread([seam["no_seam_um"] for seam in steps]),
-        "seam_step_hard_cut_um": spread([seam["cut_um"] for seam in steps]),
     }
     for name in ("rolled", "front"):
         result[name] = {band: spread([row[name][band] for row in rows]) for band in rows[0][name]}

@@ -1,4 +1,4 @@
-"""One capture with mirrors, rolled, against its truth: coverage, ridges by slant and seams."""
+"""One capture with mirrors, rolled, against its truth: coverage, surface, ridges by slant."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ CAP_MM = 0.0
 """Upper end of the rows that are measured: the tip's cap."""
 BASE_MM = 14.0
 """How far down from the cap rows are measured; creases lie below."""
-BESIDE_MM = 1.5
 PIXEL_STEP = 2
 """Every so many of the chart's pixels."""
 
@@ -50,7 +49,6 @@ def measure(folder: Path) -> dict[str, Any]:
         "coverage_front_deg": rolled_facts(front)["coverage_deg"]["median"],
         "views": list(rolled.names),
         "views_meet": facts["views_meet"],
-        "poses": _poses(rolled, views, truth),
         "surface_rms_mm": _surface_error(rolled, truth),
         "cut": [view.name for view in views if view.cut],
         "ridges_apart_um": ridges_apart(rolled, truth),
@@ -67,20 +65,6 @@ def front_alone(rolled: Rolled) -> Rolled:
     fractions = np.stack([known.astype(np.float32)])
     blended = Blended(relief, known, fractions)
     return replace(rolled, blended=blended, names=("front",), view_reliefs=rolled.view_reliefs[:1])
-
-
-def _poses(rolled: Rolled, views: Any, truth: dict[str, Any]) -> dict[str, Any]:
-    """Errors of the mirrors' normals (deg) and places (mm), as the outlines have them and after
-    registration."""
-    errors = {}
-    first = {view.name: view.glass for view in views if view.glass is not None}
-    for glass in rolled.glasses:
-        normal, point = truth[f"mirror_{glass.name}_normal"], truth[f"mirror_{glass.name}_point_mm"]
-        for word, estimate in (("outlines", first[glass.name]), ("ridges", glass)):
-            turn = float(np.rad2deg(np.arccos(min(1.0, float(estimate.plane.normal @ normal)))))
-            off = float((estimate.plane.point_mm - point) @ normal)
-            errors[f"{glass.name}_{word}"] = [round(turn, 3), round(off, 3)]
-    return errors
 
 
 def against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[str, Any]:
@@ -110,8 +94,6 @@ def against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[
         known = known & np.isfinite(there)
         there = ridges_of(np.nan_to_num(there).astype(np.float32), known, pitch)
         result[name] = _by_band(there, seen, known & region, slant)
-        if name == "rolled":
-            result["seams"] = _seams(rolled, seen, there, known & region, pitch)
     return result
 
 
@@ -196,67 +178,4 @@ def _by_band(there: Any, seen: Any, known: Any, slant: Any) -> dict[str, float |
     result["beyond 60"] = (
         round(float(np.corrcoef(there[beyond], seen[beyond])[0, 1]), 3) if enough else None
     )
-    return result
-
-
-def seam_lines(fractions: NDArray[np.float32], first: int, second: int) -> NDArray[np.bool_]:
-    """(n, m) pixels just left of where the weight passes from view `first` to view `second`, along
-    the rows."""
-    ahead = fractions[first] > fractions[second]
-    both = (np.minimum(fractions[first], fractions[second]) > 0.25) & (
-        fractions[first] + fractions[second] > 0.8
-    )
-    line = np.zeros(ahead.shape, dtype=np.bool_)
-    line[:, :-1] = (ahead[:, :-1] != ahead[:, 1:]) & both[:, :-1] & both[:, 1:]
-    return line
-
-
-def seam_steps(
-    values: NDArray[np.float32], line: NDArray[np.bool_], pitch_mm: float
-) -> NDArray[np.float64]:
-    """(K,) by how much the mean beside a seam differs from that on its other side, at every pixel
-    of the seam. `values` (n, m) is what should not change there: the relief's error, or the relief
-    with its ridges smoothed away.
-    """
-    reach = max(1, round(0.25 / pitch_mm))
-    padded = np.pad(values.astype(np.float64), ((0, 0), (reach, reach)), mode="edge")
-    sums = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
-    rows, columns = np.nonzero(line)
-    at = columns + reach + 1  # first pixel right of the seam, in the padded image
-    return np.asarray(
-        (sums[rows, at + reach] - 2 * sums[rows, at] + sums[rows, at - reach]) / reach
-    )
-
-
-def _seams(rolled: Rolled, seen: Any, there: Any, known: Any, pitch: float) -> dict[str, Any]:
-    """Steps of the relief's error (rms, um) across each seam: cross-faded, as a hard cut would have
-    them, and 1.5 mm to either side, where there is no seam."""
-    fractions = rolled.blended.fractions[:, ::PIXEL_STEP, ::PIXEL_STEP]
-    best = np.argmax(fractions, axis=0)
-    cut = np.take_along_axis(
-        rolled.view_reliefs[:, ::PIXEL_STEP, ::PIXEL_STEP], best[None], axis=0
-    )[0]
-    cut = ridges_of(
-        np.ascontiguousarray(cut), rolled.blended.known[::PIXEL_STEP, ::PIXEL_STEP], pitch
-    )
-    result = {}
-    for place, name in enumerate(rolled.names[1:], start=1):
-        line = seam_lines(fractions, 0, place) & known
-        if not line.any():
-            result[name] = None
-            continue
-        away = round(BESIDE_MM / pitch)
-        beside = (np.roll(line, away, axis=1) | np.roll(line, -away, axis=1)) & known
-        steps = {
-            "faded": seam_steps(seen - there, line, pitch),
-            "cut": seam_steps(cut - there, line, pitch),
-            "no_seam": seam_steps(seen - there, beside, pitch),
-        }
-        result[name] = {
-            "length_mm": round(float(line.any(axis=1).sum()) * pitch, 1),
-            **{
-                f"{word}_um": round(1000.0 * float(np.sqrt((s**2).mean())), 2)
-                for word, s in steps.items()
-            },
-        }
     return result

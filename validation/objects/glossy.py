@@ -13,7 +13,17 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from render import PX_PER_MM, Array, Rendered, _lit, _smooth
+from render import (
+    PITCH_MM,
+    PX_PER_MM,
+    Array,
+    Rendered,
+    _halved,
+    _lit,
+    _smooth,
+    normals_of,
+    truth_of,
+)
 
 from splitknit.imaging.pixels import srgb_code
 
@@ -126,14 +136,11 @@ def photographed(  # noqa: PLR0917
     bits; `table`: albedo of the matt ground."""
     rng = np.random.default_rng(seed)
     height, inside = height_of(shape, side, rng)
-    pitch = 1 / (2 * PX_PER_MM)
-    dy, dx = np.gradient(height, pitch)
-    normals = np.dstack([-dx, dy, np.ones_like(height)])
-    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    normals = normals_of(height)
     units = lamps(count, rng, rings=count > 10)
     lights = units * 75.0 if near else units
     half = side / (2 * PX_PER_MM)
-    axis = (np.arange(2 * side) + 0.5) * pitch
+    axis = (np.arange(2 * side) + 0.5) * PITCH_MM
     x, y = np.meshgrid(axis - half, half - axis)
     points = np.dstack([x, y, height])
     bright = np.exp(strengths * rng.standard_normal(count)) if strengths else np.ones(count)
@@ -145,22 +152,19 @@ def photographed(  # noqa: PLR0917
             away = light - points
             distance = np.linalg.norm(away, axis=2, keepdims=True)
             towards, fall = away / distance, (75.0 / distance[..., 0]) ** 2
-        image = fall * reflected(normals, towards, finish) * _lit(height, inside, unit, pitch)
+        image = fall * reflected(normals, towards, finish) * _lit(height, inside, unit)
         image = np.where(inside, image, table * unit[2])
         image = cv2.GaussianBlur(image, (0, 0), 1.2)
-        images.append(strength * cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA))
+        images.append(strength * _halved(image))
     stack = np.stack(images)
-    small = cv2.resize(inside.astype(np.float32), (side, side), interpolation=cv2.INTER_AREA)
-    mask = small > 0.99
+    mask, *of_surface = truth_of(height, inside, normals)
     # exposed for the highlights, of which a few clip
     stack *= 0.9 / np.quantile(stack[:, mask], 0.995)
     stack += 0.003 * rng.standard_normal(stack.shape) * np.sqrt(np.maximum(stack, 0.02))
     stack = np.clip(stack, 0, 1)
     stored = np.stack([_jpeg(image) for image in stack]) if jpeg else np.rint(65535 * stack)
-    normals = cv2.resize(normals, (side, side), interpolation=cv2.INTER_AREA)
-    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     kept = stored.astype(np.uint8 if jpeg else np.uint16)
-    return Rendered(kept, lights, bright, mask, height[::2, ::2], normals)
+    return Rendered(kept, lights, bright, mask, *of_surface)
 
 
 def reflected(normals: Array, towards: Array, finish: Finish) -> Array:

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 SHAPES = ("ball", "vase", "bumps", "relief", "stone", "dish")
 PX_PER_MM = 16.0
+PITCH_MM = 1 / (2 * PX_PER_MM)
+"""Of the heights: two of them a pixel and axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,10 +81,7 @@ def rendered(
     rng = np.random.default_rng(seed)
     shape = shape or SHAPES[seed % len(SHAPES)]
     height, inside = height_of(shape, side, rng)
-    pitch = 1 / (2 * PX_PER_MM)
-    dy, dx = np.gradient(height, pitch)
-    normals = np.dstack([-dx, dy, np.ones_like(height)])
-    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    normals = normals_of(height)
     slant = np.deg2rad(rng.uniform(25, 50) + rng.uniform(-6, 6, lights))
     azimuth = 2 * np.pi * (
         np.arange(lights) + rng.uniform(-0.2, 0.2, lights)
@@ -106,37 +105,46 @@ def rendered(
             albedo * cosine
             + gloss * np.maximum(normals @ (middle / np.linalg.norm(middle)), 0.0) ** shine
         )
-        light *= _lit(height, inside, unit, pitch)
+        light *= _lit(height, inside, unit)
         light = np.where(inside, light, 0.05 * unit[2])
         light = cv2.GaussianBlur(light, (0, 0), 1.2)
-        images.append(strength * cv2.resize(light, (side, side), interpolation=cv2.INTER_AREA))
+        images.append(strength * _halved(light))
     stack = np.stack(images)
-    mask = cv2.resize(inside.astype(np.float32), (side, side), interpolation=cv2.INTER_AREA) > 0.99
     stack *= 0.8 / np.quantile(stack, 0.999)
     stack += rng.standard_normal(stack.shape) * noise * np.sqrt(np.maximum(stack, 0.02))
     top = 2**bits - 1
     stored = np.rint(np.clip(np.rint(stack * top) / top, 0, 1) * 65535).astype(np.uint16)
-    height, normals = (
-        height[::2, ::2],
-        np.stack(
-            [
-                cv2.resize(normals[..., c], (side, side), interpolation=cv2.INTER_AREA)
-                for c in range(3)
-            ],
-            axis=-1,
-        ),
-    )
+    return Rendered(stored, units, intensity, *truth_of(height, inside, normals))
+
+
+def normals_of(height: Array) -> Array:
+    """(2 side, 2 side, 3) of a height, y up."""
+    dy, dx = np.gradient(height, PITCH_MM)
+    normals = np.dstack([-dx, dy, np.ones_like(height)])
+    return normals / np.linalg.norm(normals, axis=2, keepdims=True)
+
+
+def truth_of(
+    height: Array, inside: NDArray[np.bool_], normals: Array
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Mask, height and normals on the camera's pixels."""
+    normals = _halved(normals)
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    return Rendered(stored, units, intensity, mask, height, normals)
+    return _halved(inside.astype(np.float32)) > 0.99, height[::2, ::2], normals
 
 
-def _lit(height: Array, inside: NDArray[np.bool_], unit: Array, pitch: float) -> Array:
+def _halved(image: Array) -> Array:
+    size = image.shape[1] // 2, image.shape[0] // 2
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+
+
+def _lit(height: Array, inside: NDArray[np.bool_], unit: Array) -> Array:
     """Where no part of the object stands before the light: a march of shifted copies."""
     # OpenCV 4.13 shifts float64 the other way
     heights = np.where(inside, height, -1e3).astype(np.float32)
     shadow = np.zeros(height.shape, bool)
     across = np.hypot(unit[0], unit[1])
-    rise = unit[2] / across * pitch
+    rise = unit[2] / across * PITCH_MM
     for step in range(2, int((height[inside].max() - height[inside].min()) / rise) + 2, 2):
         move = np.float32([[1, 0, -step * unit[0] / across], [0, 1, step * unit[1] / across]])
         caster = cv2.warpAffine(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -91,29 +91,6 @@ def recall_precision(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
         "direction_median_deg": float(median),
         "direction_p90_deg": float(p90),
     }
-
-
-def by_finger(
-    items: Sequence[Any],
-    figure: Callable[[Sequence[Any]], dict[str, float]],
-    replicates: int = 300,
-    seed: int = 1,
-) -> dict[str, list[float | None]]:
-    """Figures of all fingers, each with its 95 % interval when fingers are drawn with
-    replacement."""
-    whole = figure(items)
-    rng = np.random.default_rng(seed)
-    drawn = [
-        figure([items[k] for k in rng.integers(0, len(items), len(items))])
-        for _ in range(replicates)
-    ]
-    rows = {}
-    for name, value in whole.items():
-        values = np.array([figures[name] for figures in drawn])
-        values = values[np.isfinite(values)]
-        limits = np.percentile(values, [2.5, 97.5]) if len(values) else (np.nan, np.nan)
-        rows[name] = [None if not np.isfinite(v) else round(float(v), 4) for v in (value, *limits)]
-    return rows
 
 
 def agreed(rows: Sequence[dict[str, Any]], replicates: int = 1000, seed: int = 1) -> dict[str, Any]:

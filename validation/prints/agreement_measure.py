@@ -18,7 +18,7 @@ from splitknit.io.capture import read_capture
 from splitknit.observation.observe import observe
 from splitknit_match.batch.store import Store
 from splitknit_match.prints.make import Print, enhance, make_print
-from splitknit_match.prints.minutiae import extract, nfiq2
+from splitknit_match.prints.minutiae import extract
 from splitknit_match.prints.minutiae_record import Minutiae, pack_minutiae
 from splitknit_match.prints.sources import Source
 
@@ -64,9 +64,7 @@ def photograph(folder: Path) -> NDArray[np.float32]:
     return np.asarray(light.mean(axis=0), dtype=np.float32)
 
 
-def prints_of(
-    source: Source, truth: Truth, methods: tuple[str, ...], quality: bool = True
-) -> dict[str, Any]:
+def prints_of(source: Source, truth: Truth, methods: tuple[str, ...]) -> dict[str, Any]:
     """Records of all methods on one surface."""
     rows: dict[str, Any] = {}
     for method in methods:
@@ -77,7 +75,6 @@ def prints_of(
             rows[method] = {"refused": str(error)}
             continue
         rows[method] = {
-            **({"nfiq2": nfiq2(finger_print.image)} if quality else {}),
             "print": against_truth(extract(finger_print.image), finger_print, truth),
             "enhanced": against_truth(extract(better.image), finger_print, truth),
             "phase": against_truth(phase_minutiae(finger_print.image, better), finger_print, truth),
@@ -156,4 +153,4 @@ def capture_record(
     methods = METHODS.get(preset, OTHERS)
     if "photo" in methods:
         source = replace(source, photo=photograph(population / name))
-    return prints_of(source, truth, methods, quality=session == 1 and preset in ("metric", "truth"))
+    return prints_of(source, truth, methods)

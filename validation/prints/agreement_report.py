@@ -7,13 +7,13 @@ validation/prints/agreement_report.py [--check]``.
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+from splitknit.io.csv_table import csv_text
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "agreement.json"
@@ -60,26 +60,6 @@ def minutiae(facts: dict[str, Any]) -> list[list[str]]:
     return rows
 
 
-def held(facts: dict[str, Any]) -> list[list[str]]:
-    """Which of the true minutiae mindtct finds on a print, and which the phase shows besides."""
-    rows = [
-        ["print", "mindtct_finds_percent", "missed_but_shown_by_phase_percent", "neither_percent"]
-    ]
-    for key, row in facts["held"].items():
-        fractions = [f"{100 * value:.0f}" for name, value in row.items() if name != "minutiae"]
-        rows.append([named(key + " print")[0], *fractions])
-    return rows
-
-
-def nfiq2(facts: dict[str, Any]) -> list[list[str]]:
-    """NFIQ 2, medians over fingers."""
-    rows = [["print", "metric_median", "true_relief_median", *columns("median_difference")]]
-    for method, row in facts.get("nfiq2", {}).items():
-        medians = [f"{row['median']:.0f}", f"{row['median_of_true_relief']:.0f}"]
-        rows.append([method, *medians, *cells(row["median_difference"], 1)])
-    return rows
-
-
 def scores(facts: dict[str, Any]) -> list[list[str]]:
     """Scores of bozorth3, session 1 against session 2 or against the pressed print."""
     rows = [["print", "minutiae_by", "fingers", *columns("genuine_above_all_impostors")]]
@@ -101,17 +81,13 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     facts = json.loads(RESULTS.read_text(encoding="utf-8"))
     current = True
-    for table in (minutiae, held, nfiq2, scores):
-        text = io.StringIO()
+    for table in (minutiae, scores):
+        text = csv_text(table(facts))
         path = TABLES / f"{table.__name__}.csv"
-        csv.writer(text, lineterminator="\n").writerows(table(facts))
         if options.check:
-            current = (
-                current and path.is_file() and path.read_text(encoding="utf-8") == text.getvalue()
-            )
+            current = current and path.read_text(encoding="utf-8") == text
         else:
-            TABLES.mkdir(exist_ok=True)
-            path.write_text(text.getvalue(), encoding="utf-8")
+            path.write_text(text, encoding="utf-8")
     return int(not current)
 
 

@@ -9,14 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from agreement_compare import by_finger
 
+from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit_match.evaluation.scores import Scores, ids_of
 from splitknit_match.prints.minutiae import EDGE_MM
 from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "match"))
 from bozorth3 import bozorth3
 
+FAR_0 = 1e-9
+"""Rate that no impostor reaches."""
 Records = dict[tuple[str, int], dict[str, Any]]
 
 
@@ -43,18 +46,21 @@ def told_apart(
     names = [name for name in first if name in second]
     sides = [[_minutiae(side[name][method], picture) for name in names] for side in (first, second)]
     scores = np.array([[bozorth3(a, b) for b in sides[1]] for a in sides[0]])
-    if len(names) < 2:
+    if len(names) < 3:
         return {}
     same = np.eye(len(names), dtype=bool)
     largest = float(scores[~same].max())
-    above = scores[same] > largest
-    interval = by_finger(list(above), lambda flags: {"above_all_impostors": float(np.mean(flags))})
-    return interval | {
+    ids = ids_of(np.repeat(names, len(names)), names * len(names))
+    pairs = Scores(ids.same, scores.ravel(), finger=ids, name=f"{method} {picture}")
+    settings = BootstrapSettings(targets=(FAR_0,), curve_points=0)
+    above = bootstrap(pairs, "finger", settings).figures[f"gar@{FAR_0:g}"]
+    return {
+        "above_all_impostors": [above.value, above.low, above.high],
         "fingers": len(names), "impostors": int((~same).sum()), "impostor_largest": largest,
         "impostor_p99": round(float(np.percentile(scores[~same], 99)), 1),
         "genuine_median": float(np.median(scores[same])),
         "genuine_smallest": float(scores[same].min()),
-        "below": [n for n, high in zip(names, above, strict=True) if not high],
+        "below": [n for n, own in zip(names, scores[same], strict=True) if own <= largest],
     }  # fmt: skip
 
 

@@ -11,25 +11,17 @@ fingers' (none should be), and of nine sheets of two or three prints (side by si
 a white, a grey or no gap) those that are not (*sheets_passed*). *period*: distance of
 the ridges over 0.46 mm, 2.5 % and 97.5 %, by
 :func:`splitknit_match.prints.from_file._ridge_period_px`, and of how many prints none is found.
-
-``--stated`` writes ``tables/stated_resolution.csv`` instead: answers of `match` where one of two
-prints states 0.8 or 1.2 times its resolution (the first two impressions of each finger, both ways,
-and each with the next finger's), as they were (*no_match*), and after a comparison at one scale of
-the ridges (*still_no_match*).
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 from pathlib import Path
 
 import numpy as np
 
+from splitknit.io.csv_table import csv_text
 from splitknit.io.prints import PrintFile, read_print_png
-from splitknit_match.matching.fusion import fused_match
-from splitknit_match.matching.inputs import print_template
-from splitknit_match.matching.methods import rate, scale_doubt, scores_of
 from splitknit_match.prints.from_file import (
     USUAL_PERIOD_MM,
     _ridge_period_px,
@@ -40,7 +32,6 @@ from splitknit_match.prints.minutiae import at_500_ppi
 from splitknit_match.prints.pressed import pressed_ridges
 
 PPI = {"fvc2002_db2b": 569.0, "fvc2004_db3b": 512.0}
-STATED = Path(__file__).parent / "tables" / "stated_resolution.csv"
 TABLE = Path(__file__).parent / "tables" / "any_print.csv"
 
 
@@ -116,56 +107,9 @@ def sheets(folder: Path, ppi: float) -> list[np.ndarray]:
     return made
 
 
-def stated(folder: Path, factor: float) -> list[tuple[bool, str, bool]]:
-    """Whether of one finger, the answer, and whether the comparison at one scale leaves it."""
-    ppi = PPI.get(folder.name, 500.0)
-    files = sorted(folder.glob("*_[12].png"))
-    images = [read_print_png(file).image for file in files]
-    right = [print_template(image, ppi) for image in images]
-    answers = []
-    for k, image in enumerate(images):
-        item = prepared(PrintFile(image, factor * ppi, {}))
-        wrong = print_template(item.image, factor * ppi)
-        for n in (k ^ 1, (k + 2) % len(files)):
-            match = fused_match(wrong, right[n])
-            by = scores_of("fusion", (wrong.area_mm2, right[n].area_mm2), match.minutiae)
-            answer = rate(match.similarity, by, match.ridge.overlap_mm2).answer
-            answer = (
-                "undecided" if "odd-resolution" in codes_of(item) and answer != "match" else answer
-            )
-            answers.append(
-                (
-                    n == k ^ 1,
-                    answer,
-                    answer == "match" or scale_doubt(wrong, right[n], None) is None,
-                )
-            )
-    return answers
-
-
-def write_stated(folders: list[Path]) -> None:
-    """Count answers of all sets, print and write them."""
-    with STATED.open("w", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(
-            ("factor", "one_finger", "pairs", "match", "undecided", "no_match", "still_no_match")
-        )
-        for factor in (1.0, 0.8, 1.2):
-            rows = [pair for folder in folders for pair in stated(folder, factor)]
-            for same in (True, False):
-                part = [(answer, stays) for whose, answer, stays in rows if whose == same]
-                counts = [
-                    sum(answer == decision for answer, _ in part)
-                    for decision in ("match", "undecided", "no match")
-                ]
-                writer.writerow((factor, same, len(part), *counts, part.count(("no match", True))))
-    print(STATED.read_text())
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--stated", action="store_true")
     options = parser.parse_args()
     data = options.data
     folders = [
@@ -173,13 +117,6 @@ if __name__ == "__main__":
         for folder in (*sorted((data / "fvc").iterdir()), data / "fvc2002_db1b")
         if folder.is_dir()
     ]
-    if options.stated:
-        write_stated(folders)
-        raise SystemExit
     rows = [row(folder) for folder in folders]
-    TABLE.parent.mkdir(exist_ok=True)
-    with TABLE.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    TABLE.write_text(csv_text([rows[0], *(row.values() for row in rows)]), encoding="utf-8")
     print(TABLE.read_text())

@@ -1,16 +1,9 @@
 """How far noise on a surface changes the shape index, by quadratic and by cubic fits of its
-curvature.
-
-    python validation/prints/curvature_noise.py CAPTURE RESULT
-
-The result is a reconstruction of the capture, which is a simulated one (its ``truth.npz`` is used).
-Prints one JSON object: rms changes in the middle and at the edge of the mask.
+curvature, of ``over_fingers.py``: rms changes in the middle and at the edge of the mask.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from pathlib import Path
 
 import cv2
@@ -18,7 +11,6 @@ import numpy as np
 
 from splitknit.io.npz import read_npz
 from splitknit_match.prints.curvature import curvature, window_side
-from splitknit_match.prints.sources import read_source
 
 
 def fits(capture: Path, surface) -> dict[str, dict[str, float]]:
@@ -47,15 +39,3 @@ def fits(capture: Path, surface) -> dict[str, dict[str, float]]:
                 row[zone] = round(float(np.sqrt(np.mean((noisy - clean)[both] ** 2))), 4)
             facts[f"{word}, noise {sigma_um} um"] = row
     return facts
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("capture", type=Path)
-    parser.add_argument("result", type=Path)
-    options = parser.parse_args()
-    print(
-        json.dumps(
-            fits(options.capture, read_source(options.result, photo=False, surface=True)), indent=1
-        )
-    )

@@ -12,10 +12,7 @@ written to ``tables/over_fingers.csv``.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +20,8 @@ from curvature_noise import fits
 from ridge_period import period_errors
 from scipy import stats
 
+from splitknit import read_capture, reconstruct
+from splitknit.io.csv_table import csv_text
 from splitknit_match.prints.sources import read_source
 
 TABLE = Path(__file__).with_name("tables") / "over_fingers.csv"
@@ -49,8 +48,7 @@ def figures_of(capture: Path, result: Path) -> dict[str, float]:
     errors = period_errors(capture, result)
     for words, kind in (("unrolled", "free"), ("plane", "plane")):
         centre, side = (
-            100.0 * float(np.median(np.abs(errors["metric", kind, zone])))
-            for zone in ZONES.values()
+            100.0 * float(np.median(np.abs(errors[kind, zone]))) for zone in ZONES.values()
         )
         row[f"period, {words}, at the centre, %"] = centre
         row[f"period, {words}, at 55 to 65 deg, %"] = side
@@ -81,26 +79,14 @@ def main() -> None:
         kept = options.scratch / f"{name}.json"
         if not kept.is_file():
             result = options.scratch / name
-            command = [
-                sys.executable,
-                "-m",
-                "splitknit",
-                "reconstruct",
-                file.parent,
-                "--out",
-                result,
-            ]
-            subprocess.run(list(map(str, command)), check=True, capture_output=True)
+            reconstruct(read_capture(file.parent)).save(result)
             kept.write_text(json.dumps(figures_of(file.parent, result)), encoding="utf-8")
         rows.append(json.loads(kept.read_text(encoding="utf-8")))
         print(kept.name, rows[-1], flush=True)
-    with TABLE.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(["what", "fingers", "mean"])
-        table.writerows(
-            [name, len(rows), mean([row[name] for row in rows], form)]
-            for name, form in FIGURES.items()
-        )
+    table = [
+        [name, len(rows), mean([row[name] for row in rows], form)] for name, form in FIGURES.items()
+    ]
+    TABLE.write_text(csv_text([["what", "fingers", "mean"], *table]), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,20 +1,15 @@
-"""Ridge periods on our prints against the truth: ``python validation/prints/ridge_period.py CAPTURE
-RESULT...``.
+"""Ridge periods on our prints against the truth, of ``over_fingers.py``.
 
 The capture's ``truth.npz`` has the true surface. Around many points, a patch of 3 mm of the true
 relief is laid flat on the true surface by itself (its own small unrolling, which is as good as
 exact over 3 mm) and its ridge period is measured; the same ruler is laid on the same place of our
-print. What is reported is the period on the print over the true one, minus one, in percent: median
-and 95th percentile of its size, by slant.
+print. What is reported is the period on the print over the true one, minus one, by slant.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from splitknit.finger.ridges import ink
@@ -23,7 +18,7 @@ from splitknit_match.prints.make import make_print
 from splitknit_match.prints.print_map import resample, unrolled_map
 from splitknit_match.prints.ridge_field import ridge_field
 from splitknit_match.prints.sources import Source, read_source
-from splitknit_match.prints.unroll import KINDS, surface_grid, unroll
+from splitknit_match.prints.unroll import surface_grid, unroll
 from splitknit_match.rolled.chart import surface_normals
 
 POINTS = 150
@@ -78,10 +73,9 @@ def period_at(image: np.ndarray, place: np.ndarray) -> float | None:
     return 25.4 / 500 / float(np.mean(field.frequency_px[middle]))
 
 
-def period_errors(capture: Path, result: Path) -> dict[tuple[str, str, str], list[float]]:
-    """Relative errors of the ridge period on our print, and on that of the true surface, by the
-    print's kind and by slant."""
-    errors: dict[tuple[str, str, str], list[float]] = {}
+def period_errors(capture: Path, result: Path) -> dict[tuple[str, str], list[float]]:
+    """Relative errors of the ridge period on our print, by its kind and by slant."""
+    errors: dict[tuple[str, str], list[float]] = {}
     truth = read_npz(capture / "truth.npz")
     estimated = read_source(result, photo=False, surface=True)
     relief = (truth["height_mm"] - truth["shape_mm"]).astype(np.float32)
@@ -109,9 +103,8 @@ def period_errors(capture: Path, result: Path) -> dict[tuple[str, str, str], lis
         zone = nodes[(slant[tuple(nodes.T)] >= low) & (slant[tuple(nodes.T)] < high)]
         chosen += list(zone[rng.permutation(len(zone))[: POINTS // len(ZONES)]])
     prints = {
-        (name, kind): make_print(source, "relief" if kind == "plane" else "unroll", kind)
-        for name, source in (("metric", estimated), ("true surface", true))
-        for kind in (*KINDS, "plane")
+        kind: make_print(estimated, "relief" if kind == "plane" else "unroll", kind)
+        for kind in ("free", "plane")
     }
     for node in chosen:
         place = grid.input_from_grid[:2, :2] @ node[::-1] + grid.input_from_grid[:2, 2]
@@ -119,36 +112,9 @@ def period_errors(capture: Path, result: Path) -> dict[tuple[str, str, str], lis
         if wanted is None:
             continue
         zone = next(z for z, (low, high) in ZONES.items() if low <= slant[tuple(node)] < high)
-        for (name, kind), finger_print in prints.items():
+        for kind, finger_print in prints.items():
             where = finger_print.map.print_from_input(place[None])[0]
             period = period_at(finger_print.image, where) if np.isfinite(where).all() else None
             if period is not None:
-                errors.setdefault((name, kind, zone), []).append(period / wanted - 1.0)
+                errors.setdefault((kind, zone), []).append(period / wanted - 1.0)
     return errors
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "pairs", nargs="+", type=Path, help="capture (with truth.npz) and its result, in turn"
-    )
-    options = parser.parse_args()
-    cv2.setNumThreads(2)
-    errors: dict[tuple[str, str, str], list[float]] = {}
-    for capture, result in zip(options.pairs[::2], options.pairs[1::2], strict=True):
-        for key, values in period_errors(capture, result).items():
-            errors.setdefault(key, []).extend(values)
-    table = {}
-    for (name, kind, zone), values in sorted(errors.items()):
-        off = 100 * np.array(values)
-        table[f"{name}, {kind}, {zone}"] = {
-            "places": len(off),
-            "median": round(float(np.median(off)), 2),
-            "size_median": round(float(np.median(np.abs(off))), 2),
-            "size_p95": round(float(np.percentile(np.abs(off), 95)), 2),
-        }
-    print(json.dumps(table, indent=1))
-
-
-if __name__ == "__main__":
-    main()

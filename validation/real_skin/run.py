@@ -16,7 +16,6 @@ figures mean: docs/experiments/real-skin.md.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -30,6 +29,7 @@ from predict import SLANTS_DEG, WAYS, left_out
 from splitknit import read_capture, reconstruct
 from splitknit.capture import Capture
 from splitknit.errors import BadInput, require
+from splitknit.io.csv_table import csv_text
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.settings import override
 
@@ -141,8 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     print("\n".join("  ".join(line) for line in table(captures)))
     if options.table is not None:
-        with options.table.open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows(table(captures))
+        options.table.write_text(csv_text(table(captures)), encoding="utf-8")
     return 0
 
 

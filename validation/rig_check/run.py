@@ -35,6 +35,7 @@ from twins import (  # noqa: E402
     twin,
 )
 
+from splitknit.io.csv_table import csv_text  # noqa: E402
 from splitknit_rig.acceptance.questions import (  # noqa: E402
     Answer,
     answers_of_ball,
@@ -116,13 +117,6 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
     return lines
 
 
-def write(rows: Sequence[dict[str, Any]], out: Path) -> None:
-    with out.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def _seeds(text: str) -> range:
     first, last = text.split(":")
     return range(int(first), int(last))
@@ -161,10 +155,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         of_seeds = [[name for _, name in group] for group in groups]
         for own_rows in pool.map(rows_of, seeds, of_seeds):
             rows += own_rows
-            write(rows, chosen.out)
+            table = csv_text([rows[0], *(row.values() for row in rows)])
+            chosen.out.write_text(table, encoding="utf-8")
     lines = summary(rows)
-    with chosen.out.with_stem(f"{chosen.out.stem}_summary").open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(lines)
+    of_rigs = chosen.out.with_stem(f"{chosen.out.stem}_summary")
+    of_rigs.write_text(csv_text(lines), encoding="utf-8")
     for line in lines:
         print("  ".join(line))
     return 0

@@ -12,7 +12,6 @@ its exposure does not show in the dark.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ import numpy as np
 
 from splitknit import BadInput, Rig
 from splitknit.devices import CameraDevice, ExposureRange, Frame, LightBank
+from splitknit.io.csv_table import csv_text
 from splitknit.nominal import default_rig
 from splitknit_rig.capture.session import SessionSettings, run_session
 
@@ -193,10 +193,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, (kind, rate) in CAMERAS.items():
         rows.append({"camera": name, **counted(kind, rate, chosen.frames, 1000)})
         print(*rows[-1].values(), flush=True)
-        with chosen.out.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        table = csv_text([rows[0], *(row.values() for row in rows)])
+        chosen.out.write_text(table, encoding="utf-8")
     return 0
 
 

@@ -241,14 +241,17 @@ def _dead(leds: FloatArray, dark: FloatArray) -> FloatArray:
     return leds
 
 
-def _dim(leds: FloatArray, dark: FloatArray) -> FloatArray:
-    leds[3] = dark + np.float32(0.9) * (leds[3] - dark)
-    return leds
+def dimmed(lit: Lit, led: int, left: float) -> Lit:
+    """A scene of which one LED has a part of its light left."""
+    leds = lit.leds.copy()
+    leds[led] = lit.dark + np.float32(left) * (leds[led] - lit.dark)
+    return Lit(leds, lit.dark)
 
 
-def _exchanged(leds: FloatArray, dark: FloatArray) -> FloatArray:
-    leds[[2, 3]] = leds[[3, 2]]
-    return leds
+def _exchanged(lit: Lit, one: int, other: int) -> Lit:
+    leds = lit.leds.copy()
+    leds[[one, other]] = leds[[other, one]]
+    return Lit(leds, lit.dark)
 
 
 def _one_along(leds: FloatArray, dark: FloatArray) -> FloatArray:
@@ -261,8 +264,9 @@ def _together(leds: FloatArray, dark: FloatArray) -> FloatArray:
     return leds
 
 
-def _leaking(lit: Lit) -> Lit:
-    glow = np.float32(0.03) * (lit.leds[3] - lit.dark)
+def leaking(lit: Lit, fraction: float = 0.03) -> Lit:
+    """A scene of which LED 3 glows while it is off."""
+    glow = np.float32(fraction) * (lit.leds[3] - lit.dark)
     leds = lit.leds + glow
     leds[3] = lit.leds[3]
     return Lit(leds, lit.dark + glow)
@@ -282,9 +286,17 @@ def _other_led(twin: Twin, change: Callable[[Led], Led]) -> Twin:
     return replace(twin, rig=rig, card=card_of(rig, tilt), **solids(rig, tilt))
 
 
-def _moved(led: Led, mm: float = 3.0) -> Led:
+def moved(led: Led, mm: float = 3.0) -> Led:
+    """An LED that stands beside its place."""
     x, y, z = led.position_mm or (0.0, 0.0, 0.0)
     return replace(led, position_mm=(x + mm, y, z))
+
+
+def turned(led: Led, turn: Array, about_mm: Any = (0.0, 0.0, 0.0)) -> Led:
+    """An LED that is turned about a place."""
+    position_mm: Any = tuple((turn @ (np.subtract(led.position_mm, about_mm)) + about_mm).tolist())
+    aim: Any = tuple((turn @ led.axis).tolist())
+    return replace(led, position_mm=position_mm, aim=aim)
 
 
 def tilted(led: Led, deg: float = 10.0) -> Led:
@@ -306,24 +318,17 @@ def _camera_tilted(twin: Twin) -> Twin:
     turn = np.asarray(cv2.Rodrigues(np.array([np.deg2rad(2.0), 0.0, 0.0]))[0])
     seat = np.array([0.0, 0.0, camera.height_mm])
 
-    def turned(led: Led) -> Led:
-        place = turn @ (np.asarray(led.position_mm) - seat) + seat
-        aim = turn @ led.axis
-        position_mm: Any = tuple(map(float, place))
-        axis: Any = tuple(map(float, aim))
-        return replace(led, position_mm=position_mm, aim=axis)
-
-    rig = replace(twin.rig, leds=tuple(map(turned, twin.rig.leds)))
+    rig = replace(twin.rig, leds=tuple(turned(led, turn, seat) for led in twin.rig.leds))
     tilt = (twin.tilt_deg[0] + 2.0, twin.tilt_deg[1])
     return replace(twin, rig=rig, tilt_deg=tilt, card=card_of(rig, tilt), **solids(rig, tilt))
 
 
-def _other_lens(twin: Twin) -> Twin:
-    """The file of a lens whose focal length is 5 % longer."""
+def other_lens(twin: Twin, factor: float = 1.05) -> Twin:
+    """The file of a longer lens."""
     camera = twin.file.camera
     assert camera.matrix is not None
-    matrix = camera.matrix * np.array([[1.05, 1, 1], [1, 1.05, 1], [1, 1, 1]])
-    camera = replace(camera, matrix=matrix, px_per_mm=1.05 * camera.px_per_mm)
+    matrix = camera.matrix * np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
+    camera = replace(camera, matrix=matrix, px_per_mm=factor * camera.px_per_mm)
     return replace(twin, file=replace(twin.file, camera=camera))
 
 
@@ -412,16 +417,6 @@ def _shadowed(image: FloatArray) -> FloatArray:
     return np.asarray(image * np.clip(0.5 + 0.5 * away, 0.5, 1.0))
 
 
-def _nir_exchanged(leds: FloatArray, dark: FloatArray) -> FloatArray:
-    leds[[9, 12]] = leds[[12, 9]]
-    return leds
-
-
-def _slightly_dim(leds: FloatArray, dark: FloatArray) -> FloatArray:
-    leds[10] = dark + np.float32(0.95) * (leds[10] - dark)
-    return leds
-
-
 def _saturating(pixels: PixelArray) -> PixelArray:
     """A sensor that bends from 60 % of full scale on."""
     values = pixels.astype(np.float64)
@@ -432,18 +427,18 @@ BEHIND_FILMS = "analyser does not turn"
 """The defect of a rig with films."""
 DEFECTS: dict[str, Callable[[Twin], Twin]] = {
     "an LED dead": _each(_dead),
-    "an LED 10 % dim": _each(_dim),
-    "two LEDs exchanged": _each(_exchanged),
+    "an LED 10 % dim": lambda twin: twin.lights(lambda lit: dimmed(lit, 3, 0.9)),
+    "two LEDs exchanged": lambda twin: twin.lights(lambda lit: _exchanged(lit, 2, 3)),
     "plugs one place along": _each(_one_along),
     "two LEDs lit together": _each(_together),
-    "an LED leaks 3 %": lambda twin: twin.lights(_leaking),
-    "an LED 3 mm off": lambda twin: _other_led(twin, _moved),
+    "an LED leaks 3 %": lambda twin: twin.lights(leaking),
+    "an LED 3 mm off": lambda twin: _other_led(twin, moved),
     "an LED tilted by 10 deg": lambda twin: _other_led(twin, tilted),
     "lid open": lambda twin: twin.lights(_open_lid),
     "focus 6 mm off": _out_of_focus,
     "camera turned by 3 deg": _camera_turned,
     "camera tilted by 2 deg": _camera_tilted,
-    "another lens's file": _other_lens,
+    "another lens's file": other_lens,
     "exposure twice too long": lambda twin: replace(twin, exposure=2.0),
     "exposure a quarter": lambda twin: replace(twin, exposure=0.25),
     "black level 3 % high": lambda twin: replace(twin, store=_raised),
@@ -457,7 +452,7 @@ DEFECTS: dict[str, Callable[[Twin], Twin]] = {
 
 NEW: dict[str, tuple[Callable[[Twin], Twin], tuple[str, ...]]] = {
     "an LED 2 mm off": (
-        lambda twin: _other_led(twin, lambda led: _moved(led, 2.0)),
+        lambda twin: _other_led(twin, lambda led: moved(led, 2.0)),
         ("direction",),
     ),
     "beam of an LED twice as narrow": (
@@ -472,8 +467,14 @@ NEW: dict[str, tuple[Callable[[Twin], Twin], tuple[str, ...]]] = {
     "every shot smeared by 0.13 mm": (_everywhere(_smear), ("smear",)),
     "a thumbprint on the lens": (_everywhere(_thumbprint), ("haze", "light across")),
     "a corner shadowed": (_everywhere(_shadowed), ("light across",)),
-    "two NIR LEDs exchanged": (_each(_nir_exchanged), ("LEDs out",)),
-    "an NIR LED 5 % dim": (_each(_slightly_dim), ("brightness",)),
+    "two NIR LEDs exchanged": (
+        lambda twin: twin.lights(lambda lit: _exchanged(lit, 9, 12)),
+        ("LEDs out",),
+    ),
+    "an NIR LED 5 % dim": (
+        lambda twin: twin.lights(lambda lit: dimmed(lit, 10, 0.95)),
+        ("brightness",),
+    ),
     "light flickers by 6 %": (lambda twin: replace(twin, flicker=0.06), ("flicker",)),
     "a sensor that saturates early": (lambda twin: replace(twin, store=_saturating), ("linear",)),
 }

@@ -2,8 +2,8 @@
 [--system NAME]`.
 
 Every finger and system is written to --out, with the scanner's cloud (``1-stripes.xyz``, for
-``cloud.py``), and not measured twice. `--fringes` measures fringes on skin, and `--tables` prints
-the tables (as in ``tables/``) behind docs/experiments/scanners.md from what is there.
+``cloud.py``), and not measured twice. `--tables` prints the table (as in ``tables/``) behind
+docs/experiments/scanners.md from what is there.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ import numpy as np
 import simulated as sim
 import structured_light
 from cloud import result_of_points
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 import splitknit
 import splitknit_match
 import splitknit_simulator
 from splitknit.model import FloatArray
-from splitknit_simulator.light.skin import diffusion_profile
 
 FINE_PERIOD = 12.0
 """Period in projector rows, finer than ridges."""
@@ -154,50 +153,6 @@ def measure(seed: int, names: list[str], out: Path) -> None:
         print(seed, name, {k: round(v, 3) for k, v in facts.items()}, flush=True)
 
 
-def fringe_table(out: Path) -> None:
-    """Modulation of fringes on skin by period and colour, and ridges by the colour of the stripes,
-    on finger 1."""
-    path = out / "fringes.json"
-    if path.exists():
-        return
-    _, truth = splitknit_simulator.simulate_capture(1, settings={"scale": sim.SCALE})
-    finger = sim.Fingers(1)
-    sight = finger.at(0)
-    lamp = sim.projector()
-    facts = {}
-    inner = sight.patch.mask & (sight.surface.shape_normals[sight.patch.window][..., 2] > 0.8)
-    for channel in ("opaque", "red", "green", "blue", "nir"):
-        rows = {}
-        for mm in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0):
-            period = mm / sim.PROJECTOR_PX_MM
-            shots = np.stack(
-                [
-                    shot
-                    for shot, _ in sight.light(
-                        channel, lamp, [sim.stripe(period, k, 4) for k in range(4)]
-                    )
-                ]
-            )
-            modulation = structured_light.decode(shots[None], [period], 0.0).modulation[0][
-                sight.patch.window
-            ]
-            rows[str(mm)] = float(np.median(modulation[inner]))
-        cloud, _, _ = sim.stripes(finger, channel)
-        result = on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"]))
-        figures = splitknit.compare(result, truth).figures
-        facts[channel] = rows | {k: float(figures[k]) for k in KEEP if k in figures}
-        cloud, _, _ = sim.stripes(finger, channel, (*sim.PERIODS, FINE_PERIOD))
-        figures = splitknit.compare(
-            on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"])), truth
-        ).figures
-        facts[channel] |= {f"fine_{k}": float(figures[k]) for k in KEEP if k in figures}
-        if channel != "opaque":
-            optics = finger.optics.channel(channel)
-            profile = diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm)
-            facts[channel]["half_radius_mm"] = profile.radius_mm(0.5)
-    path.write_text(json.dumps(facts, indent=1))
-
-
 def rates(out: Path, seeds: list[int], name: str) -> dict[str, tuple[float, bool]]:
     """Scans against second captures by `metric`, every pair: the matcher `ridge`, its similarity
     and its decision."""
@@ -218,13 +173,12 @@ def rates(out: Path, seeds: list[int], name: str) -> dict[str, tuple[float, bool
 
 def interval(hits: int, tried: int) -> str:
     """Fraction with the 95 % interval of Clopper and Pearson, per cent."""
-    low = beta.ppf(0.025, hits, tried - hits + 1) if hits else 0.0
-    high = beta.ppf(0.975, hits + 1, tried - hits) if hits < tried else 1.0
+    low, high = binomtest(hits, tried).proportion_ci(method="exact")
     return f"{hits} of {tried} ({100 * low:.0f} to {100 * high:.0f} %)"
 
 
 def tables(out: Path, seeds: list[int]) -> None:
-    """Print the tables: means over the fingers whose cloud is accepted, rates over all."""
+    """Print the table: means over the fingers whose cloud is accepted, rates over all."""
     print(f"{len(seeds)} fingers")
     names = {"metric": ("", "`metric`", 17, 306, 2.4)} | SYSTEMS
     for name, (_, title, parts, price, capture) in names.items():
@@ -256,15 +210,6 @@ def tables(out: Path, seeds: list[int]) -> None:
         others = [scores[f"{a}-{b}"][1] for a, b in itertools.permutations(seeds, 2)]
         cells += [interval(sum(genuine), len(genuine)), interval(sum(others), len(others))]
         print("| " + " | ".join(cells) + " |", flush=True)
-    for channel, facts in json.loads((out / "fringes.json").read_text()).items():
-        cells = [f"{facts[mm]:.2f}" for mm in ("0.25", "0.5", "1.0", "2.0", "4.0", "8.0")]
-        for key in ("ridge_", "fine_ridge_"):
-            cells += [
-                f"{facts[f'{key}correlation']:.2f}",
-                f"{facts[f'{key}gain']:.2f}",
-                f"{facts[f'{key}rms_um']:.0f}",
-            ]
-        print(f"| {channel} | {facts.get('half_radius_mm', 0):.2f} | " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":
@@ -272,15 +217,12 @@ if __name__ == "__main__":
     parser.add_argument("--fingers", type=int, default=24)
     parser.add_argument("--system", choices=[*SYSTEMS], action="append")
     parser.add_argument("--out", type=Path, default=Path("build/scanners"))
-    parser.add_argument("--fringes", action="store_true", help="the table of fringes on skin only")
     parser.add_argument(
         "--tables", action="store_true", help="match what was measured, and print the tables only"
     )
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    if options.fringes:
-        fringe_table(options.out)
     if options.tables:
         tables(options.out, list(range(1, options.fingers + 1)))
-    for seed in range(1, options.fingers + 1) if not (options.fringes or options.tables) else ():
+    for seed in range(1, options.fingers + 1) if not options.tables else ():
         measure(seed, options.system or [*SYSTEMS], options.out)

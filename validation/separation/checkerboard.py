@@ -11,8 +11,6 @@ PSNR is given for two peaks: the white image's 99.9th percentile, and that of th
 - ``noise``: shot and read noise of the twin's sensor: raw maximum and minimum against least squares
   with states known or found in the images, over all lit and dark images or in the middle of the
   checks.
-- ``centred``: the fast truth against the one over all phases; with the projector at its LED, and in
-  the camera's axis.
 """
 
 from __future__ import annotations
@@ -38,14 +36,11 @@ from patches import (
 
 from patterns import Separation, checkerboard, estimate_patterns
 from projector import Checkerboard, Separated
-from splitknit.model import Led
 
 HERE = Path(__file__).resolve().parent
 CHECKS_MM = (0.11, 0.21, 0.42, 0.85)
 SHIFT_COUNTS = (5, 7, 9)
 """Odd: an even number of shifts shows every checkerboard twice."""
-COAXIAL = Led("white", direction=(0.0, 0.0, 1.0))
-"""Simulated radiance does not clip."""
 
 
 def noise_free(
@@ -134,27 +129,6 @@ def _estimates(
     }
 
 
-def centred(patches: dict[str, Patch], checks: Iterable[float]) -> list[dict[str, Any]]:
-    """The fast truth against the full one."""
-    rows = []
-    for name, (surface, led, skin) in patches.items():
-        for check in checks:
-            row: dict[str, Any] = {"surface": name, "check_mm": check}
-            for place, projector in (("led", led), ("coaxial", COAXIAL)):
-                full, fast = (
-                    truth_of((surface, projector, skin), check, phases=kind)
-                    for kind in ("all", "centred")
-                )
-                mask = inner(surface, full)
-                real, difference = full.direct[:, mask], (fast.direct - full.direct)[:, mask]
-                row[f"{place}_rms"] = float(np.sqrt(np.mean(difference**2)) / real.mean())
-                row[f"{place}_mean"] = float(difference.mean() / real.mean())
-                row[f"{place}_db"] = decibels(difference, real, full.white[:, mask])
-            rows.append(row)
-            print(f"  {name} {check} mm centred: {row}", flush=True)
-    return rows
-
-
 def summary(results: dict[str, Any]) -> str:
     """The figures that ``docs/experiments/separation.md`` has."""
     lines = []
@@ -175,24 +149,17 @@ def summary(results: dict[str, Any]) -> str:
         bias = [100 * value for row in group for value in row["bias_by_noise"]]
         level = f"{min(levels):.1f} to {max(levels):.1f} dB (own peak)"
         lines.append(f"noise, {method}: {level}, by noise {min(bias):+.1f} to {max(bias):+.1f} %")
-    for row in results["centred"]:
-        lines.append(
-            f"{row['surface']}, {row['check_mm']} mm, the fast truth: {100 * row['led_rms']:.2f}"
-            " % rms"
-        )
     return "\n".join(lines)
 
 
 def main() -> None:
     """Run everything and store it."""
-    patches = draw_patches(False)
-    first_patches = {name: patch for name, patch in patches.items() if name.endswith("0")}
+    patches = draw_patches()
     results: dict[str, Any] = {
         "px_per_mm": PX_PER_MM,
         "size": list(PATCH_SIZE),
         "noise_free": noise_free(patches, CHECKS_MM, SHIFT_COUNTS),
         "noise": noise(patches, 0.42),
-        "centred": centred(first_patches, CHECKS_MM[:3]),
         "psnr_peak": (
             "white_peak: 99.9th percentile of the white image; own_peak: of the true part itself"
         ),

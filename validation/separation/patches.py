@@ -43,17 +43,16 @@ Patch = tuple[SimulatedSurface, Led, SkinOptics | Medium]
 separation."""
 
 
-def draw_patches(smoke: bool) -> dict[str, Patch]:
+def draw_patches() -> dict[str, Patch]:
     """Crops of palms and fingers with skins drawn from the population's ranges."""
-    size = (96, 104) if smoke else PATCH_SIZE
-    camera = Camera(PX_PER_MM, size)
+    camera = Camera(PX_PER_MM, PATCH_SIZE)
     result = {}
-    for k in range(1 if smoke else 2):
+    for k in range(2):
         skin = SkinRanges().draw(np.random.default_rng([17, k]))
         result[f"palm {k}"] = (palm_surface(draw_palm(500 + k), camera), LEDS[k], skin)
         # the pad fills most of the crop, its flank and outline the rest
         pose = FingerPose(
-            x_mm=3.5 * (-1) ** k, insertion_mm=size[0] / PX_PER_MM + 6.0, roll_rad=0.1
+            x_mm=3.5 * (-1) ** k, insertion_mm=PATCH_SIZE[0] / PX_PER_MM + 6.0, roll_rad=0.1
         )
         finger = finger_surface(
             draw_finger(500 + k, ("whorl", "left_loop")[k]), pose, camera, workers=1

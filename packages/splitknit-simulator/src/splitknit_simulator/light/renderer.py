@@ -61,7 +61,7 @@ class RenderSettings(Checked):
     """Near the outline, part of the diffusion profile falls beside the picture of the finger; the
     light is divided by the fraction inside to this power. Between 0 (no light there) and 1 (the
     same light there): 0.75 follows a random walk in an elliptic cylinder best
-    (``validation/twin/volume.py``)."""
+    (``validation/twin``)."""
     workers: Annotated[int, Limits(1)] = 2
     """Threads; the result does not depend on it."""
 
