@@ -52,11 +52,8 @@ def read_photographs(
     tip_direction_deg: float | None = None,
     encoding: Encoding | None = None,
     brightness: Literal["estimate", "equal"] | None = None,
-    max_megapixels: float | None = None,
     background: float | AnyPath | None = None,
     crossed: AnyPath | None = None,
-    mosaic: Literal["mono", "colour"] | None = None,
-    film_deg: float = 90.0,
     flat: AnyPath | None = None,
     nir: AnyPath | None = None,
 ) -> Capture:
@@ -75,7 +72,7 @@ def read_photographs(
         Scale on the object; without it heights are in pixels.
     light_frame, ridge_period_mm, mask, material, tip_direction_deg, encoding : optional
         See :class:`splitknit.io.photographs.GivenPhotographs`, whose fields they are.
-    brightness, max_megapixels, background, crossed, mosaic, film_deg, flat, nir : optional
+    brightness, background, crossed, flat, nir : optional
         Likewise.
 
     Returns
@@ -106,14 +103,15 @@ def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
     """Photographs as a capture, and what was assumed of them. Raises BadInput as
     :func:`read_photographs`."""
     from splitknit.observation.plain import capture_from_photographs
+    from splitknit.reconstruction import UNKNOWN_SCALE
 
     images = photographs.images
     assert images is not None
-    read = capture_from_photographs(photographs)
-    capture, notes = _with_frame_and_scale(read.capture, images, photographs, None)
-    known = capture.rig.camera.scale_known
-    kept = [finding for finding in read.notes if finding.code != "scale-unknown" or not known]
-    return capture, [*kept, *notes]
+    read, assumed = capture_from_photographs(photographs)
+    capture, notes = _with_frame_and_scale(read, images, photographs, None)
+    if not capture.rig.camera.scale_known:
+        notes.append(Finding("scale-unknown", UNKNOWN_SCALE))
+    return capture, [*assumed, *notes]
 
 
 def _with_frame_and_scale(

@@ -11,7 +11,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from io_shared import import_photographs
+from io_shared import Photographs, import_photographs
 from splitknit.errors import BadInput
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.capture import read_capture, write_capture
@@ -19,7 +19,6 @@ from splitknit.io.images import decode_pixels
 from splitknit.io.photos import read_photo
 from splitknit.io.prints import decode_print_image
 from splitknit.observation.observe import observe
-from splitknit.observation.plain import Photographs
 from splitknit.photometric.lambertian import lambertian
 
 DIRECTIONS = np.array(

@@ -495,7 +495,7 @@ class StackReader:
         """Start decoding into a stack (L, H, W, C), complete after :meth:`finish`; `expected_by`:
         what requires `size` (rows, columns), for messages."""
         like = read_header(read_bytes(files[0], MAX_BYTES), str(files[0]))
-        _check_size(like, size, str(files[0]), expected_by)
+        size_check(size, expected_by, str(files[0]))(like.rows, like.columns)
         self._bytes += len(files) * size[0] * size[1] * like.channels * like.dtype.itemsize
         require(
             self._bytes <= STACK_BYTES,
@@ -509,7 +509,7 @@ class StackReader:
             name = str(files[k])
             data = read_bytes(files[k], MAX_BYTES)
             header = read_header(data, name)
-            _check_size(header, size, name, expected_by)
+            size_check(size, expected_by, name)(header.rows, header.columns)
             require(
                 header == like,
                 f"{name} is {header.words}, but {files[0]} is {like.words}; all images of a band"
@@ -527,12 +527,18 @@ class StackReader:
         return {name: job.result() for name, job in self._jobs}
 
 
-def _check_size(header: Header, size: tuple[int, int], name: str, expected_by: str) -> None:
-    require(
-        (header.rows, header.columns) == size,
-        f"{name} has {header.rows} x {header.columns} pixels (rows x columns), but "
-        f"{size[0]} x {size[1]} are expected by {expected_by}.",
-    )
+def size_check(size: tuple[int, int], expected_by: str, name: str) -> SizeCheck:
+    """What refuses a picture, `name`, of another size (rows, columns); `expected_by`: what requires
+    it, for messages."""
+
+    def check(rows: int, columns: int) -> None:
+        require(
+            (rows, columns) == size,
+            f"{name} has {rows} x {columns} pixels (rows x columns), but {size[0]} x {size[1]} are"
+            f" expected by {expected_by}.",
+        )
+
+    return check
 
 
 def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:
