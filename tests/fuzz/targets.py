@@ -31,7 +31,6 @@ from batch_stores import waves
 from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, transaction, type_14
 from handmade import finger
 from png_files import png_of
-from splitknit.accuracy import read_truth
 from splitknit.capture import Ambient, Band, Capture
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
@@ -107,6 +106,7 @@ from splitknit_rig.calibration.lights import COLUMNS, read_tips
 from splitknit_rig.calibration.lights_found import check_tips
 from splitknit_rig.calibration.nail_photos import read_stack
 from splitknit_rig.calibration.radiometry_folder import read_exposures
+from splitknit_simulator.accuracy import read_truth
 
 TINY_NETWORK = PACKAGES / "splitknit" / "tests" / "networks" / "tiny.onnx"
 DOCUMENTS: tuple[dict[str, Any], ...] = ({"ea": Case("ea", "ea").document()}, {}, {})

@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import read_capture, reconstruct
-from splitknit.accuracy import eroded
 from splitknit.capture import Capture
 from splitknit.errors import BadExposure, BadInput, require
-from splitknit.imaging.geometry import smoothed
+from splitknit.imaging.geometry import eroded, smoothed
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.observe import observe
 from splitknit.reconstruction import Reconstruction

@@ -14,10 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.accuracy import BAND_SIGMA_MM, EROSION_MM, compare, eroded, high_passed
 from splitknit.finger.ridge_period import ridge_period
 from splitknit.finger.ridges import ink, surface_print
-from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.geometry import BAND_SIGMA_MM, EROSION_MM, bounding_box, eroded, high_passed
 from splitknit.methods import METHODS, method_for, metric
 from splitknit.methods.photographs import (
     FingerPhotographs,
@@ -32,6 +31,7 @@ from splitknit.reconstruction import Reconstruction
 from splitknit.settings import override
 from splitknit.skin.grid import Grid
 from splitknit.skin.polarised import SpecularImages, polarised_heights
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.finger.finger import FingerPose
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture

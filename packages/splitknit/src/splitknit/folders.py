@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Literal
 
 from splitknit.arguments import (
@@ -31,6 +32,7 @@ from splitknit.io.photographs import (
     GivenPhotographs,
     Lights,
 )
+from splitknit.registry import IMPORTS, registered
 
 if TYPE_CHECKING:
     from splitknit.capture import Capture
@@ -335,16 +337,16 @@ def _written(
     keep_steps: bool,
 ) -> dict[str, Any]:
     """Write the result; return the facts of its report."""
-    from splitknit.accuracy import read_truth
     from splitknit.report.result import write_files, write_steps
 
-    truth = None
-    if small is not None and small.truth is not None and result.scale_known:
-        truth = read_truth(small)
+    comparisons = []
+    compare = registered(IMPORTS).get("truth")  # the simulator's
+    if compare and small is not None and small.truth is not None and result.scale_known:
+        comparisons.append(resolve_name(compare)(result, small))
     step_facts, step_files = write_steps(kept, target)
     if keep_steps:
         result = replace(result, facts={**result.facts, "steps": step_facts})
-    return write_files(result, small, target, truth, step_files)
+    return write_files(result, small, target, comparisons, step_files)
 
 
 def _small(capture: Capture) -> Capture:
