@@ -25,7 +25,7 @@ from splitknit.imaging.pixels import coarse_grid
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import check_contents, image_name, mask_from_image
 from splitknit.io.fields import Version1, inside, read_document
-from splitknit.io.images import StackReader, cores, encode_image, read_image
+from splitknit.io.images import cores, encode_image, read_image, read_stacks
 from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
 from splitknit.io.rig import read_rig, rig_to_json
@@ -81,7 +81,6 @@ class _CaptureFields(Struct):
     subject: dict[str, Any] | None = None
     captured_at: str | None = None
     sha256: dict[str, str] = {}
-    shading: Any = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,10 +267,6 @@ def read_capture(
     folder = document.parent
     name = str(document)
     fields, _ = read_document(document, _CaptureFields)
-    require(
-        fields.shading is None,
-        f"{name} names a calibrated shading, by which this version reads no heights.",
-    )
     rig_file = inside(folder, fields.rig, name, "rig")
     rig = read_rig(rig_file)
     truth = None if fields.truth is None else inside(folder, fields.truth, name, "truth")
@@ -283,12 +278,11 @@ def read_capture(
     stated = _stated_bands(fields.bands, folder, rig, name)
     size = rig.camera.image_size
     rig_name = f"{rig_file} (is the rig for another camera?)"
-    with StackReader(threads) as reader:
-        stacks = {key: reader.start(each.files, size, rig_name) for key, each in stated.items()}
-        dark = {key: each.dark for key, each in stated.items() if each.dark is not None}
-        ambients = {key: reader.start([file], size, rig_name)[0] for key, file in dark.items()}
-        mask_pixels = None if mask_file is None else reader.start([mask_file], size, rig_name)[0]
-        hashes = reader.finish()
+    groups: dict[str, Sequence[Path]] = {key: each.files for key, each in stated.items()}
+    groups |= {f"dark {key}": [each.dark] for key, each in stated.items() if each.dark}
+    if mask_file is not None:
+        groups["mask"] = [mask_file]
+    stacks, hashes = read_stacks(groups, size, rig_name, threads)
     bands: dict[str, Band] = {}
     others = [document, rig_file]
     for key, each in stated.items():
@@ -300,7 +294,8 @@ def read_capture(
             )
         band = replace(each.band, pixels=stacks[key])
         if band.ambient is not None:
-            band = replace(band, ambient=replace(band.ambient, pixels=ambients[key]))
+            dark = stacks[f"dark {key}"][0]
+            band = replace(band, ambient=replace(band.ambient, pixels=dark))
         if each.flat:
             band = replace(band, flat=np.stack([_flat_image(file) for file in each.flat]))
             others += each.flat
@@ -321,7 +316,7 @@ def read_capture(
         encoding=fields.encoding,
         material=fields.material,
         tip_direction_deg=fields.tip_direction_deg,
-        mask=None if mask_pixels is None else mask_from_image(mask_pixels, str(mask_file)),
+        mask=None if mask_file is None else mask_from_image(stacks["mask"][0], str(mask_file)),
         subject=fields.subject or {},
         captured_at=fields.captured_at,
         truth=truth,
@@ -353,18 +348,7 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
         f" columns), the capture's have {rows} x {columns}.",
     )
     for band in capture.bands.values():
-        for index in sorted({k for group in band.leds for k in group}):
-            there = (
-                f"of the band '{rig.leds[index].band}' there"
-                if index < len(rig.leds)
-                else "not in it"
-            )
-            require(
-                there == f"of the band '{band.spectral}' there",
-                f"{name} does not fit the capture: LED {index}, which lit images of the band"
-                f" '{band.name}', is {there}.",
-            )
-    for band in capture.bands.values():
+        _check_leds(rig, band.spectral, band.leds, f"{name}: the capture's bands.{band.name}.leds")
         _check_colours(rig, band)
     if "white_crossed" in capture.bands:
         _check_pair(capture.bands["white"], capture.bands["white_crossed"], name, rig)
