@@ -26,7 +26,6 @@ from pathlib import Path
 
 import numpy as np
 
-from splitknit.io.prints import PrintFile, read_print_png
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import rate, scale_doubt, scores_of
@@ -38,6 +37,7 @@ from splitknit_match.prints.from_file import (
 )
 from splitknit_match.prints.minutiae import at_500_ppi
 from splitknit_match.prints.pressed import pressed_ridges
+from splitknit_match.records.pictures import PrintFile, read_print_png
 
 PPI = {"fvc2002_db2b": 569.0, "fvc2004_db3b": 512.0}
 STATED = Path(__file__).parent / "tables" / "stated_resolution.csv"
