@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
@@ -17,11 +17,11 @@ from splitknit.arguments import (
     Encoding,
     Preset,
     Progress,
+    Report,
     Settings,
     checked,
     refuse_given,
     silent,
-    text_of,
 )
 from splitknit.errors import BadInput, naming, require
 from splitknit.findings import SEVERITY_WORDS, Finding, Severity, worst_first
@@ -131,41 +131,6 @@ def _with_frame_and_scale(
     return capture, [Finding("scale-of-ridges", note)] if note else []
 
 
-@dataclass(frozen=True, slots=True)
-class Reconstructed:
-    """What :func:`reconstruct_to_folder` wrote."""
-
-    facts: dict[str, Any]
-    """Those of ``report.json``, and ``out``, ``area_mm2``, ``total_s``."""
-
-    def __str__(self) -> str:
-        facts = self.facts
-        result, out = facts["result"], facts["out"]
-        known = result["scale_known"]
-        measured = (
-            f"{facts['area_mm2']:.0f} mm²" if known else f"{result['area_px']} px (scale unknown)"
-        )
-        findings = [
-            f"{SEVERITY_WORDS[each['severity']]}: {each['message']}" for each in facts["findings"]
-        ]
-        # the worst stand first
-        doubts = sum(each["severity"] != Severity.NOTE for each in facts["findings"])
-        lines = [
-            *findings[:doubts],
-            f"{measured} reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
-            f"Written to {out}: {', '.join(facts['files'])}.",
-            *findings[doubts:],
-        ]
-        for preset, figure in facts["comparison"].items():
-            rms = f"surface rms {figure['surface_rms_mm']:.3f} mm"
-            ridges = (
-                f"ridge correlation {figure['ridge_correlation']:.2f}, ridge gain"
-                f" {figure['ridge_gain']:.2f}"
-            )
-            lines.append(f"Against the truth ({preset}): {rms}, {ridges}.")
-        return text_of([*lines, f"Open {Path(out) / 'report.html'} in a browser."])
-
-
 @checked
 def reconstruct_to_folder(
     capture: AnyPath | None = None,
@@ -183,7 +148,7 @@ def reconstruct_to_folder(
     settings: Settings = None,
     photographs: AllPhotographs = NO_PHOTOGRAPHS,
     progress: Progress = silent,
-) -> Reconstructed:
+) -> Report:
     """Turn a capture folder, photographs or a normal map into a surface.
 
     Parameters
@@ -225,7 +190,8 @@ def reconstruct_to_folder(
 
     Returns
     -------
-    Reconstructed
+    Report
+        Facts of ``report.json``, and ``out``, ``area_mm2``, ``total_s``.
 
     Raises
     ------
@@ -301,9 +267,32 @@ def reconstruct_to_folder(
             raise BadInput(f"{source}: {error}") from error
     progress("done", 1.0)
     total_s = time.perf_counter() - started
-    return Reconstructed(
-        {**facts, "out": str(out), "area_mm2": facts["result"]["area_mm2"], "total_s": total_s}
-    )
+    facts |= {"out": str(out), "area_mm2": facts["result"]["area_mm2"], "total_s": total_s}
+    return Report(facts, tuple(_lines(facts)))
+
+
+def _lines(facts: dict[str, Any]) -> Iterator[str]:
+    """What was written, for people; what spoils it first."""
+    result, out = facts["result"], facts["out"]
+    area = f"{result['area_px']} px (scale unknown)"
+    if result["scale_known"]:
+        area = f"{facts['area_mm2']:.0f} mm²"
+    findings = [
+        f"{SEVERITY_WORDS[each['severity']]}: {each['message']}" for each in facts["findings"]
+    ]
+    # the worst stand first
+    doubts = sum(each["severity"] != Severity.NOTE for each in facts["findings"])
+    yield from findings[:doubts]
+    yield f"{area} reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s."
+    yield f"Written to {out}: {', '.join(facts['files'])}."
+    yield from findings[doubts:]
+    for preset, figure in facts["comparison"].items():
+        yield (
+            f"Against the truth ({preset}): surface rms {figure['surface_rms_mm']:.3f} mm, ridge"
+            f" correlation {figure['ridge_correlation']:.2f}, ridge gain"
+            f" {figure['ridge_gain']:.2f}."
+        )
+    yield f"Open {Path(out) / 'report.html'} in a browser."
 
 
 def _check_sources(

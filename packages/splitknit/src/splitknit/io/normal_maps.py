@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import importing, refusing, require
+from splitknit.errors import refusing, require
 from splitknit.files import AnyPath, read_bytes
 from splitknit.io.content import mask_of_photo
 from splitknit.io.images import MAX_BYTES, check_size, size_check
 from splitknit.io.npz import read_npy, read_npz
-from splitknit.io.photos import decode_photo, read_photo
+from splitknit.io.photos import decode_photo, of_extra, read_photo
 from splitknit.model import BoolArray, FloatArray
 
 _NO_VECTORS = (
@@ -106,11 +106,8 @@ def _only_map(arrays: dict[str, NDArray[Any]], file: Path) -> NDArray[Any]:
 
 def _exr(data: bytes, name: str) -> NDArray[Any]:
     """The channels R, G, B, or x, y, z, of an OpenEXR file."""
-    with importing(
-        f"{name} (EXR) needs a package that is not installed: pip install 'splitknit[photos]', or"
-        " save it as .npy or 16-bit PNG."
-    ):
-        import OpenEXR  # of the extra `photos`
+    with of_extra(name, "EXR"):
+        import OpenEXR
     with refusing(f"{name} is damaged, or no OpenEXR image of R, G, B or X, Y, Z; save it again."):
         with OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True) as file:
             (left, top), (right, bottom) = file.header()["dataWindow"]
