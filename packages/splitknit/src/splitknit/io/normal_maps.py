@@ -83,7 +83,7 @@ def read_mask(path: AnyPath, shape: tuple[int, int]) -> tuple[BoolArray, dict[st
     """Mask (H, W) of an image, and its SHA-256 by its name. Raises BadInput if it has another
     `shape`."""
     name = str(path)
-    photo = read_photo(path, size_check(shape, "what it masks", name))
+    photo = read_photo(path, size_check(shape, "the picture that it masks", name))
     return mask_of_photo(photo, name), {Path(path).name: photo.sha256}
 
 
