@@ -47,10 +47,17 @@ from numpy.typing import NDArray
 
 from splitknit.checks import check_mask
 from splitknit.errors import BadInput, naming, require
+from splitknit.files import read_bytes
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
-from splitknit.io.images import image_size, read_stacks, write_float_tiff, write_image
+from splitknit.io.images import (
+    MAX_BYTES,
+    read_header,
+    read_stacks,
+    write_float_tiff,
+    write_image,
+)
 from splitknit.io.photograph_files import natural_order
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
@@ -512,7 +519,9 @@ def read_light(folder: Path, states: Path | None = None, encoding: str = "linear
     groups = {"images": images, **{role: [file] for role, file in roles.items()}}
     if states is not None:
         groups["states"] = _images_in(states)
-    stacks, hashes = read_stacks(groups, image_size(images[0]), str(images[0]))
+    first = str(images[0])
+    header = read_header(read_bytes(first, MAX_BYTES), first)
+    stacks, hashes = read_stacks(groups, (header.rows, header.columns), first)
     pixels = stacks["images"]
     singles = {role: stacks[role][0] for role in roles}
     channels = pixels.shape[3]

@@ -431,12 +431,6 @@ def read_image(path: str | os.PathLike[str], check: SizeCheck | None = None) -> 
     return decode_image(read_bytes(path, MAX_BYTES), str(path), check=check)
 
 
-def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Rows and columns of an image file, without decoding it."""
-    header = read_header(read_bytes(path, MAX_BYTES), str(path))
-    return header.rows, header.columns
-
-
 def decode_image(
     data: bytes, name: str, max_pixels: int = MAX_PIXELS, check: SizeCheck | None = None
 ) -> PixelArray:

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -160,17 +159,6 @@ def crossed_place(films: Films, shape: tuple[int, ...]) -> Array:
     x = (1.0 - scale) * ((shape[1] - 1) / 2) + films.shift_px[0]
     y = (1.0 - scale) * ((shape[0] - 1) / 2) + films.shift_px[1]
     return np.array([[scale, 0.0, x], [0.0, scale, y]])
-
-
-def undone(image: FloatArray, films: Films) -> FloatArray:
-    """A crossed image (h, w) or (h, w, C), of floats or as stored, resampled onto the parallel
-    one's pixels."""
-    matrix = crossed_place(films, image.shape)
-    size = (image.shape[1], image.shape[0])
-    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    return np.asarray(
-        cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    )
 
 
 def _lights(films: Films, groups: Sequence[Sequence[int]]) -> list[int]:
