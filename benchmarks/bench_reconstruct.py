@@ -1,9 +1,9 @@
 """The command line from disk to disk: seconds, processor time and peak memory of whole runs.
 
     python benchmarks/bench_reconstruct.py  # full and half scale, metric, snk and ea
-    python benchmarks/bench_reconstruct.py --photographs 200x3 8x45 8x45/10
+    python benchmarks/bench_reconstruct.py --photographs 200x3 8x45
 
-The numbers after ``--photographs``: number x megapixels [/ --max-size].
+The numbers after ``--photographs``: number x megapixels.
 
 Every run is a process of its own (what it loads counts). The captures are simulated once into
 ``benchmarks/out`` and carry no truth: comparing is not part of a reconstruction.
@@ -195,9 +195,8 @@ def photographs(case: str) -> None:
     import cv2
     import numpy as np
 
-    sizes, _, limit = case.partition("/")
-    count, megapixels = (int(word) for word in sizes.split("x"))
-    folder = OUT / f"photographs_{sizes}"
+    count, megapixels = (int(word) for word in case.split("x"))
+    folder = OUT / f"photographs_{case}"
     if not (folder / "lights.txt").is_file():
         folder.mkdir(exist_ok=True)
         rows, columns = (int(np.sqrt(megapixels * 1e6 * ratio)) for ratio in (3 / 4, 4 / 3))
@@ -221,10 +220,9 @@ def photographs(case: str) -> None:
                 str(folder / f"photo_{k}.jpg"), cv2.merge(colour), [cv2.IMWRITE_JPEG_QUALITY, 90]
             )
         np.savetxt(folder / "lights.txt", lights)
-    reduced = ("--max-size", limit) if limit else ()
     target = OUT / "result_photographs"
     command = splitknit(
-        "reconstruct", "--images", str(folder), "--px-per-mm", "20", "--out", str(target), *reduced
+        "reconstruct", "--images", str(folder), "--px-per-mm", "20", "--out", str(target)
     )
     run = run_process(command)
     result_mb = sum(file.stat().st_size for file in target.iterdir()) / 1e6
@@ -232,7 +230,7 @@ def photographs(case: str) -> None:
     cells = (
         f"{run.wall_s:.0f} | {run.cpu_s:.0f} | {run.peak_mb:.0f} | {mesh_mb:.0f} | {result_mb:.0f}"
     )
-    print(f"| {count} of {megapixels} MP | {limit or '-'} | {cells} |", flush=True)
+    print(f"| {count} of {megapixels} MP | {cells} |", flush=True)
 
 
 def main() -> None:
@@ -250,8 +248,8 @@ def main() -> None:
     # modules are compiled once, as where the package is installed
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     if options.photographs:
-        print("| photographs | `--max-size` | wall s | CPU s | peak MB | mesh MB | result MB |")
-        print("| --- | --- | --- | --- | --- | --- | --- |")
+        print("| photographs | wall s | CPU s | peak MB | mesh MB | result MB |")
+        print("| --- | --- | --- | --- | --- | --- |")
         for case in options.photographs:
             photographs(case)
         return

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
-from splitknit.accuracy import compare
 from splitknit.io.images import write_image
 from splitknit.io.pictures import upright_frame
 from splitknit.presets import PRESETS
 from splitknit.report.figures import small_fields, view_from_above
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture

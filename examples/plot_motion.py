@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
-from splitknit.accuracy import compare
 from splitknit.finger.ridges import surface_print
 from splitknit.io.images import write_image
 from splitknit.presets import PRESETS
 from splitknit.reconstruction import surface_of
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.finger.motion import HandMotion
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 import splitknit
-from splitknit.accuracy import compare
 from splitknit.io.images import write_image
 from splitknit.io.pictures import colour, on_paper, to_frame, upright_frame
 from splitknit.observation.stored import linear_image
 from splitknit.report.figures import small_fields, view_from_above
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 

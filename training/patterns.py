@@ -47,10 +47,17 @@ from numpy.typing import NDArray
 
 from splitknit.checks import check_mask
 from splitknit.errors import BadInput, naming, require
+from splitknit.files import read_bytes
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
-from splitknit.io.images import StackReader, image_size, write_float_tiff, write_image
+from splitknit.io.images import (
+    MAX_BYTES,
+    read_header,
+    read_stacks,
+    write_float_tiff,
+    write_image,
+)
 from splitknit.io.photograph_files import natural_order
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
@@ -509,12 +516,14 @@ def read_light(folder: Path, states: Path | None = None, encoding: str = "linear
     require(
         len(images) > 0, f"'{folder}' holds no PNG, TIFF or JPEG images; name the folder that does."
     )
-    with StackReader() as reader:
-        size, by = image_size(images[0]), str(images[0])
-        pixels = reader.start(images, size, by)
-        singles = {role: reader.start([file], size, by)[0] for role, file in roles.items()}
-        state_pixels = None if states is None else reader.start(_images_in(states), size, by)
-        hashes = reader.finish()
+    groups = {"images": images, **{role: [file] for role, file in roles.items()}}
+    if states is not None:
+        groups["states"] = _images_in(states)
+    first = str(images[0])
+    header = read_header(read_bytes(first, MAX_BYTES), first)
+    stacks, hashes = read_stacks(groups, (header.rows, header.columns), first)
+    pixels = stacks["images"]
+    singles = {role: stacks[role][0] for role in roles}
     channels = pixels.shape[3]
 
     black = np.zeros(1, dtype=np.float32)
@@ -527,8 +536,9 @@ def read_light(folder: Path, states: Path | None = None, encoding: str = "linear
     table = decode_table(pixels.dtype, encoding)
     some = 0 if channels == 1 else slice(None)
     patterns = None
-    if state_pixels is not None:
-        patterns = np.stack([linear_image(image, "linear").mean(axis=-1) for image in state_pixels])
+    if states is not None:
+        of_states = [linear_image(image, "linear") for image in stacks["states"]]
+        patterns = np.stack([image.mean(axis=-1) for image in of_states])
     named = {Path(name): value for name, value in hashes.items()}
     return PatternLight(
         tuple(file.name for file in images),

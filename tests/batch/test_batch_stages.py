@@ -15,7 +15,6 @@ from splitknit.errors import BadInput, Refused
 from splitknit.finger.ridges import relief_print
 from splitknit.io.capture import read_capture
 from splitknit.io.images import read_image, write_image
-from splitknit.io.prints import read_print_png
 from splitknit.pipeline import reconstruct
 from splitknit.reconstruction import surface_of
 from splitknit_match.batch.cases import Case
@@ -27,6 +26,7 @@ from splitknit_match.matching.surface import surface_images, surface_template
 from splitknit_match.matching.template import pack, unpack
 from splitknit_match.matching.thesis import ThesisSettings, thesis_match
 from splitknit_match.matching.thesis_code import code_match, code_side
+from splitknit_match.records.pictures import read_print_png
 
 
 @pytest.mark.slow

@@ -123,7 +123,6 @@ def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
         ("--images PHOTOS --rig rig.json", "rig.json does not exist"),
         ("--images PHOTOS --rig rig.json --lights x.txt", "choose one"),
         ("--images PHOTOS --rig PHOTOS/lights.txt", "a list of lights with --lights"),
-        ("--images PHOTOS --max-size 0", "--max-size must be above 0"),
     ],
 )
 def test_refusals(options: str, words: str, photos: Path, tmp_path: Path, capsys) -> None:
@@ -173,20 +172,6 @@ def test_a_crossed_series_is_imported_beside_the_parallel_one(
         np.testing.assert_array_equal(capture.bands[name].pixels[0, ..., 0], first)
         assert capture.bands[name].leds == ((0,), (1,), (2,), (3,), (4,))
     assert main(f"reconstruct {tmp_path}/c --preset ea --out {tmp_path}/r".split()) == 0
-    command = (
-        "--images",
-        parallel,
-        "--crossed",
-        crossed,
-        "--max-size",
-        "0.01",
-        "--out",
-        tmp_path / "small",
-    )
-    assert imported(*command) == 0
-    assert {band.pixels.shape for band in read_capture(tmp_path / "small").bands.values()} == {
-        (5, 100, 100, 1)
-    }
 
 
 def test_series_in_the_wrong_folders_are_noted(photos: Path, tmp_path: Path, capsys) -> None:
@@ -219,43 +204,3 @@ def test_series_that_do_not_fit_are_refused(photos: Path, tmp_path: Path, capsys
     assert "named twice" in capsys.readouterr().err
     assert main(f"import print.wsq --crossed {parallel} --out {tmp_path}/p".split()) == 2
     assert "--crossed goes with --images" in capsys.readouterr().err
-
-
-def test_frames_of_a_camera_with_films_on_its_pixels(photos: Path, tmp_path: Path, capsys) -> None:
-    parallel, crossed = polarised_photos(photos, tmp_path)
-    frames = tmp_path / "frames"
-    frames.mkdir()
-    for k, (parallel_file, crossed_file) in enumerate(
-        zip(sorted(parallel.glob("*.png")), sorted(crossed.glob("*.png")), strict=True)
-    ):
-        through = [np.asarray(Image.open(name)) for name in (parallel_file, crossed_file)]
-        mosaic = np.zeros((400, 400), np.uint16)
-        mosaic[0::2, 0::2], mosaic[1::2, 1::2] = through[0], through[1]  # 90 and 0 degrees
-        mosaic[0::2, 1::2] = mosaic[1::2, 0::2] = (through[0] // 2) + (through[1] // 2)
-        Image.fromarray(mosaic).save(frames / f"{k}.png")
-    lights = ("--lights", photos / "lights.txt")
-    assert imported("--images", frames, *lights, "--mosaic", "mono", "--out", tmp_path / "c") == 0
-    capture = read_capture(tmp_path / "c")
-    assert capture.shape == (200, 200)
-    middle = np.s_[0, 60:140, 60:140, 0]
-    for name, folder in (("white", parallel), ("white_crossed", crossed)):
-        first = np.asarray(Image.open(sorted(folder.glob("*.png"))[0])).astype(float)[
-            60:140, 60:140
-        ]
-        imported_pixels = capture.bands[name].pixels[middle].astype(float)
-        assert np.abs(imported_pixels - first).mean() < 0.02 * first.mean()
-    capsys.readouterr()
-    for more, words in (
-        (("--encoding", "srgb"), "a mosaic of films is linear"),
-        (("--crossed", crossed), "leave out"),
-        (("--film-angle", "nan"), "--film-angle must be from"),
-    ):
-        assert (
-            imported(
-                "--images", frames, *lights, "--mosaic", "mono", *more, "--out", tmp_path / "d"
-            )
-            == 2
-        )
-        assert words in capsys.readouterr().err
-    assert imported("--images", frames, *lights, "--mosaic", "colour", "--out", tmp_path / "d") == 0
-    assert read_capture(tmp_path / "d").bands["white_crossed"].pixels.shape == (5, 200, 200, 3)

@@ -56,7 +56,6 @@ VERBS: dict[str, str] = {
         " --overwrite"
     ),
     "import-prints": "import {base}/result/print.png --out {out}",
-    "import-capture": "import {base}/capture --fingers right_index --out {out} --overwrite",
     "export": "export {base}/result --to iso-19794-2 --out {out}",
     "gallery-export": "gallery export {gallery} --out {out}",
     "gallery-import": "gallery import {gallery} {base}/exported",

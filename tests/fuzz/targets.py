@@ -31,7 +31,6 @@ from batch_stores import waves
 from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, transaction, type_14
 from handmade import finger
 from png_files import png_of
-from splitknit.accuracy import read_truth
 from splitknit.capture import Ambient, Band, Capture
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
@@ -44,13 +43,7 @@ from splitknit.io.normal_maps import read_mask, read_normal_map
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import read_photo
-from splitknit.io.prints import (
-    PrintFile,
-    encode_print_png,
-    encode_print_tiff,
-    read_print_png,
-    write_print_png,
-)
+from splitknit.io.prints import encode_print_png, write_print_png
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
@@ -99,6 +92,7 @@ from splitknit_match.prints.sources import read_source
 from splitknit_match.records.finger_image import encode_finger_image
 from splitknit_match.records.iso39794 import encode_finger_image_block
 from splitknit_match.records.minutiae_files import decode_minutiae_record, read_minutiae_record
+from splitknit_match.records.pictures import PrintFile, encode_print_tiff, read_print_png
 from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template
 from splitknit_match.records.what import what
@@ -107,6 +101,7 @@ from splitknit_rig.calibration.lights import COLUMNS, read_tips
 from splitknit_rig.calibration.lights_found import check_tips
 from splitknit_rig.calibration.nail_photos import read_stack
 from splitknit_rig.calibration.radiometry_folder import read_exposures
+from splitknit_simulator.accuracy import read_truth
 
 TINY_NETWORK = PACKAGES / "splitknit" / "tests" / "networks" / "tiny.onnx"
 DOCUMENTS: tuple[dict[str, Any], ...] = ({"ea": Case("ea", "ea").document()}, {}, {})

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import splitknit
 import splitknit_simulator
-from splitknit.accuracy import Comparison, compare
 from splitknit.reconstruction import Reconstruction
+from splitknit_simulator.accuracy import Comparison, compare
 from splitknit_simulator.finger.finger import draw_finger
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture

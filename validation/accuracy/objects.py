@@ -129,7 +129,7 @@ def sphere(folder: Path) -> Object:
     photographs = GivenPhotographs(
         folder / f"{stem}.{{light}}.png", lights, PX_PER_MM, mask=masks[0], encoding="linear"
     )
-    capture = capture_from_photographs(photographs).capture
+    capture, _ = capture_from_photographs(photographs)
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4

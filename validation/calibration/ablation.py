@@ -26,7 +26,6 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.accuracy import compare
 from splitknit.capture import Capture
 from splitknit.io.csv_table import csv_text
 from splitknit.io.rig import read_rig
@@ -34,6 +33,7 @@ from splitknit.model import Led, Rig
 from splitknit.nominal import nominal_rig
 from splitknit.pipeline import reconstruct
 from splitknit.reconstruction import Reconstruction
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 

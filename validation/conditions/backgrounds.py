@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from scipy import stats
 from summary import interval
 
-from splitknit.accuracy import compare
 from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.finger.locate import SURVEY_PX_PER_MM, enlarged_mask
 from splitknit.finger.mask import finger_mask
 from splitknit.observation.observe import observe
 from splitknit.pipeline import reconstruct
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.scene import BackgroundSettings, TwinSettings
 from splitknit_simulator.twin import simulate_capture

@@ -24,7 +24,6 @@ import cv2
 import numpy as np
 
 import splitknit_simulator.finger.finger as drawing
-from splitknit.accuracy import compare
 from splitknit.errors import BadInput
 from splitknit.pipeline import reconstruct
 from splitknit.reconstruction import Reconstruction, surface_of
@@ -36,6 +35,7 @@ from splitknit_match.prints.folder import advice
 from splitknit_match.prints.make import enhance, make_print, measured
 from splitknit_match.prints.minutiae import nfiq2
 from splitknit_match.prints.sources import source_of
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.finger.conditions import Condition
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.scene import TwinSettings

@@ -27,7 +27,6 @@ import numpy as np
 from scipy.stats import binomtest
 
 from splitknit.io.csv_table import csv_text
-from splitknit.io.prints import read_print_png
 from splitknit_match.gallery.file import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.gallery.identify import TEMPLATES_HASH
@@ -39,6 +38,7 @@ from splitknit_match.matching.minutia_pairs import pair_minutiae
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, pack, print_size, unpack
 from splitknit_match.prints.minutiae_record import Minutiae
+from splitknit_match.records.pictures import read_print_png
 
 HERE = Path(__file__).resolve().parent
 PPI = {

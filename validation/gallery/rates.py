@@ -27,13 +27,13 @@ from index import FOLDS, HERE, PPI, joined, templates
 from scipy.stats import binomtest
 
 from splitknit.io.csv_table import csv_text
-from splitknit.io.prints import read_print_png
 from splitknit_match.gallery.file import Entry, NewCapture
 from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.gallery.identify import TEMPLATES_HASH
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import pack, unpack
+from splitknit_match.records.pictures import read_print_png
 
 GALLERY_SIZE = 1000
 WINDOW_MM = 6.0

@@ -38,7 +38,6 @@ from bozorth3 import bozorth3
 from numpy.typing import NDArray
 from pressed_prints import PULLED, finger, press
 
-from splitknit.io.prints import read_print_png
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.scores import Scores, ids_of
 from splitknit_match.matching.fusion import fused_match
@@ -46,6 +45,7 @@ from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.prints.minutiae import at_500_ppi, extract
+from splitknit_match.records.pictures import read_print_png
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "fvc.json"

@@ -14,10 +14,10 @@ from captures import capture_folder
 from numpy.typing import NDArray
 
 from splitknit import read_capture, reconstruct
-from splitknit.accuracy import compare
 from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.reconstruction import Reconstruction
+from splitknit_simulator.accuracy import compare
 
 Truth = Mapping[str, NDArray[Any]]
 MARGIN_MM = 1.0

@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 
 from splitknit.io.csv_table import csv_text
-from splitknit.io.prints import PrintFile, read_print_png
 from splitknit_match.prints.from_file import (
     USUAL_PERIOD_MM,
     _ridge_period_px,
@@ -30,6 +29,7 @@ from splitknit_match.prints.from_file import (
 )
 from splitknit_match.prints.minutiae import at_500_ppi
 from splitknit_match.prints.pressed import pressed_ridges
+from splitknit_match.records.pictures import PrintFile, read_print_png
 
 PPI = {"fvc2002_db2b": 569.0, "fvc2004_db3b": 512.0}
 TABLE = Path(__file__).parent / "tables" / "any_print.csv"

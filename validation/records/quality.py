@@ -21,12 +21,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.io.prints import read_print_png
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.minutia_pairs import on_ridges, pair_minutiae
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.prints import phase_minutiae
+from splitknit_match.records.pictures import read_print_png
 
 HERE = Path(__file__).resolve().parent
 SETS = (

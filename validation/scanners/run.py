@@ -120,7 +120,9 @@ def measure(seed: int, names: list[str], out: Path) -> None:
         metric = splitknit.reconstruct(capture, "metric")
         facts = {"compute_s": time.process_time() - begun, "capture_s": 14 * 0.17, "light": 14.0}
         facts |= {
-            k: float(v) for k, v in splitknit.compare(metric, truth).figures.items() if k in KEEP
+            k: float(v)
+            for k, v in splitknit_simulator.compare(metric, truth).figures.items()
+            if k in KEEP
         }
         metric.save(own)
         second, _ = splitknit_simulator.simulate_capture(seed, settings=settings, impression=1)
@@ -143,11 +145,13 @@ def measure(seed: int, names: list[str], out: Path) -> None:
             continue
         facts = {"compute_s": seconds + time.process_time() - begun, "light": light}
         facts |= {
-            k: float(v) for k, v in splitknit.compare(result, truth).figures.items() if k in KEEP
+            k: float(v)
+            for k, v in splitknit_simulator.compare(result, truth).figures.items()
+            if k in KEEP
         }
-        facts["fused_surface_rms_mm"] = splitknit.compare(fused(result, metric), truth).figures[
-            "surface_rms_mm"
-        ]
+        facts["fused_surface_rms_mm"] = splitknit_simulator.compare(
+            fused(result, metric), truth
+        ).figures["surface_rms_mm"]
         result.save(out / f"{seed}-{name}")
         (out / f"{seed}-{name}.json").write_text(json.dumps(facts))
         print(seed, name, {k: round(v, 3) for k, v in facts.items()}, flush=True)

@@ -14,7 +14,6 @@ from ablation_light import in_grey, true_shares, twin_of, without_glare
 from from_colours import direct_of_enhanced
 
 from splitknit import pipeline
-from splitknit.accuracy import compare
 from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.finger.locate import Finger, find_finger
@@ -24,6 +23,7 @@ from splitknit.observation.observe import observe
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.reconstruction import Reconstruction
 from splitknit.settings import override
+from splitknit_simulator.accuracy import compare
 
 FIGURES = (
     "ridge_correlation",

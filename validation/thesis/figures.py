@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from plots import bars_figure, lines_figure, save
 from scales import SCALES
 
-from splitknit.accuracy import Comparison, compare, high_passed, read_truth
 from splitknit.capture import Capture
+from splitknit.imaging.geometry import high_passed
 from splitknit.io.capture import read_capture
 from splitknit.io.images import write_image
 from splitknit.io.pictures import upright_frame
@@ -40,6 +40,7 @@ from splitknit.observation.observe import observe
 from splitknit.pipeline import located, reconstruct
 from splitknit.reconstruction import Reconstruction
 from splitknit.report.figures import small_fields, view_from_above
+from splitknit_simulator.accuracy import Comparison, compare, read_truth
 from tables import Row, write_csv
 
 CASES = ("snk", "pr", "ea")

@@ -22,10 +22,10 @@ import numpy as np
 from figures import bands
 from scipy import stats
 
-from splitknit.accuracy import compare
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.integration.poisson import poisson
 from splitknit.pipeline import reconstruct
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.surface import SimulatedSurface
 from splitknit_simulator.twin import lay_down, simulate_capture, twin_settings
 from tables import write_csv

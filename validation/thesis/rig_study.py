@@ -35,9 +35,9 @@ from rig_candidates import (
 )
 from scipy.spatial import cKDTree
 
-from splitknit.accuracy import high_passed
 from splitknit.capture import Band, Capture
 from splitknit.errors import BadInput, require
+from splitknit.imaging.geometry import high_passed
 from splitknit.model import BoolArray, Camera, FloatArray, Led, Rig
 from splitknit.pipeline import reconstruct
 from splitknit.reconstruction import Reconstruction

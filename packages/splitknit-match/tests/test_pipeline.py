@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from kinds import FIGURES, turned
-from splitknit.accuracy import compare
 from splitknit.capture import Band, Capture
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, warp
@@ -26,6 +25,7 @@ from splitknit.reconstruction import Reconstruction, surface_of
 from splitknit.settings import flatten
 from splitknit_match.matching.inputs import read_surface
 from splitknit_match.matching.surface import surface_images
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.finger.finger import FingerPose
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture

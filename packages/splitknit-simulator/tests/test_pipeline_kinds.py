@@ -14,7 +14,6 @@ import pytest
 
 import kinds
 from small_capture import copy_of, edit
-from splitknit.accuracy import compare
 from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
@@ -23,6 +22,7 @@ from splitknit.io.npz import read_npz
 from splitknit.nominal import default_rig
 from splitknit.pipeline import reconstruct
 from splitknit.reconstruction import Reconstruction
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.camera.sensor import SensorSettings
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.skin import SkinOptics

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from enrolled import facts_of, refusal_of
-from splitknit.accuracy import compare
 from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.pipeline import reconstruct
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.finger.finger import FingerPose
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.scene import TwinSettings

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from splitknit import reconstruct
-from splitknit.accuracy import compare
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.finger.steady import find_steady_finger
@@ -15,6 +14,7 @@ from splitknit.io.capture import write_capture
 from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
 from splitknit.settings import override
+from splitknit_simulator.accuracy import compare
 from splitknit_simulator.finger.motion import HandMotion
 from splitknit_simulator.rigs import coloured_rig
 from splitknit_simulator.scene import TwinSettings

@@ -12,7 +12,7 @@ from splitknit.capture import Band, Capture
 from splitknit.findings import Finding
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, rotation_about
 from splitknit.model import Camera, Led, Rig
-from splitknit.reconstruction import Reconstruction
+from splitknit.reconstruction import Comparison, Reconstruction
 
 
 def finger(
@@ -81,6 +81,14 @@ def finger(
         "normals": normals,
     }
     return result, truth
+
+
+def comparison_of(result: Reconstruction, gain: float = 1.0) -> Comparison:
+    """Return what a simulator says of a result whose relief has this gain."""
+    figures = {"surface_rms_mm": 0.0, "ridge_correlation": 1.0, "ridge_gain": gain}
+    error_um = np.where(result.mask, 1000.0 * (gain - 1.0) * result.ridge_mm, np.nan)
+    no_error = np.where(result.mask, np.float32(0.0), np.nan)
+    return Comparison(result.preset, figures, no_error, error_um, result.mask, result.mask)
 
 
 def capture_of(result: Reconstruction, lights: int = 4) -> Capture:

@@ -1,3 +1,4 @@
+import importlib
 import os
 import pickle
 from pathlib import Path
@@ -6,7 +7,7 @@ import numpy as np
 import pytest
 
 from splitknit.checks import check_image, check_lights, check_mask, check_stack
-from splitknit.errors import BadInput, refusing, require
+from splitknit.errors import BadInput, importing, refusing, require
 from splitknit.files import read_bytes
 
 RING = np.array([[np.cos(a), np.sin(a), 2.0] for a in 2 * np.pi * np.arange(5) / 5])
@@ -133,3 +134,9 @@ def test_refusals_are_one_printable_line_whatever_they_quote():
     assert len(str(BadInput("x" * 10**6))) < 2100
     with pytest.raises(BadInput, match="NaN or infinite"):
         check_lights([[1e200, 0, 1], [0, 1, 1], [-1, 0, 1]])
+
+
+def test_a_missing_package_is_refused_whatever_the_file_is_called():
+    words = r"a\{b\}\.exr needs a package: install it \(No module"
+    with pytest.raises(BadInput, match=words), importing("a{b}.exr needs a package: install it."):
+        importlib.import_module("splitknit.no_such_module")

@@ -17,12 +17,13 @@ from enrolled import facts_of, refusal_of, words_of
 from fmr_samples import transaction, type_14
 from perfect_results import write_impressions
 from spiral_prints import PLACES, spiral_print
-from splitknit.io.prints import PrintFile, read_print_png, write_print_png
+from splitknit.io.prints import write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import read_result, write_mesh
 from splitknit.observation.stored import decode_table
 from splitknit_match.prints.verbs import PrintFormat
 from splitknit_match.records.minutiae_files import read_minutiae_record
+from splitknit_match.records.pictures import PrintFile, read_print_png
 from splitknit_match.records.print_formats import FORMATS, read_prints
 from splitknit_simulator.finger.finger import FingerPose
 from written_files import read_ply, read_stl

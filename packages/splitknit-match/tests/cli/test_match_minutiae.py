@@ -9,11 +9,12 @@ import pytest
 
 from enrolled import facts_of, words_of
 from splitknit.errors import BadInput
-from splitknit.io.prints import read_print_png, write_print_png
+from splitknit.io.prints import write_print_png
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.evaluation.scores import Scores
 from splitknit_match.matching.methods import rate
 from splitknit_match.prints.minutiae_record import no_minutiae
+from splitknit_match.records.pictures import read_print_png
 
 
 def report_of(capsys, *arguments: object, method: str = "minutiae") -> dict:

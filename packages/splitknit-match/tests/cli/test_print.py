@@ -17,11 +17,11 @@ from enrolled import facts_of, refusal_of, words_of
 from perfect_results import write_perfect
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import upright_turn
-from splitknit.io.prints import read_print_png
 from splitknit.io.results import read_result
 from splitknit.nominal import default_rig
 from splitknit_match import match
 from splitknit_match.records.minutiae_files import read_minutiae_record
+from splitknit_match.records.pictures import read_print_png
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 

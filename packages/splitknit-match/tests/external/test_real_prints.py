@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.prints import read_print_png
 from splitknit_match import enroll, identify
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
@@ -17,6 +16,7 @@ from splitknit_match.matching.ridge import Prepared
 from splitknit_match.prints.from_file import minutiae_of
 from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_match.records.minutiae_files import read_minutiae_record
+from splitknit_match.records.pictures import read_print_png
 
 pytestmark = pytest.mark.external
 KEPT = (1, 2, 3, 5, 7)

@@ -69,7 +69,7 @@ def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
         mask=folder / "gray" / "gray.mask.png",
         encoding="linear",
     )
-    capture = capture_from_photographs(photographs).capture
+    capture, _ = capture_from_photographs(photographs)
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
     i, j = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]]
@@ -92,7 +92,7 @@ def phalange(data_dir: Path) -> Capture:
         background=71,
         encoding="linear",
     )
-    return capture_from_photographs(photographs).capture
+    return capture_from_photographs(photographs)[0]
 
 
 def assert_complete(result: Reconstruction, mask: BoolArray) -> None:

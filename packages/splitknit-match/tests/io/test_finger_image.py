@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.prints import PrintFile
 from splitknit_match.records.finger_image import decode_finger_images, encode_finger_image
+from splitknit_match.records.pictures import PrintFile
 
 SMALL = np.arange(120, dtype=np.uint8).reshape(12, 10)
 TYPED = bytes.fromhex(

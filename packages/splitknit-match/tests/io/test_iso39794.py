@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.prints import PrintFile
+from splitknit_match.records.pictures import PrintFile
 
 pytest.importorskip("asn1tools")
 

@@ -6,13 +6,16 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
 
 from splitknit.errors import BadInput
-from splitknit.io.prints import PrintFile, encode_print_tiff, write_print_png
+from splitknit.io.prints import write_print_png
+from splitknit_match.records.pictures import PrintFile, decode_print_image, encode_print_tiff
 from splitknit_match.records.print_formats import read_prints
+from written_files import read_by_all
 
 IMAGE = np.random.default_rng(3).integers(0, 256, (31, 23)).astype(np.uint8)
 
@@ -114,3 +117,23 @@ def test_odd_tags_of_a_print_are_no_crash(
     print_file = read(path)
     assert (print_file.resolution_ppi or 0) == pytest.approx(resolution)
     np.testing.assert_array_equal(print_file.image, IMAGE)
+
+
+def test_a_print_as_tiff_is_read_by_all_whatever_its_texts_are_called(tmp_path):
+    image = np.random.default_rng(0).integers(0, 256, (30, 20)).astype(np.uint8)
+    text = {"shape": "oval", 'a"shape': '{"shape":[1]}'}
+    path = tmp_path / "print.tiff"
+    path.write_bytes(encode_print_tiff(image, 500, text))
+    np.testing.assert_array_equal(read_by_all(path), image)
+    assert decode_print_image(path.read_bytes(), "x").text == text
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "jpg", "bmp"])
+def test_a_print_of_too_many_pixels_is_not_decoded(suffix, monkeypatch):
+    def never(*_: object) -> None:
+        raise AssertionError("it was decoded")
+
+    monkeypatch.setattr("splitknit.io.photos.decode_pixels", never)
+    data = cv2.imencode(f".{suffix}", np.zeros((8100, 8000), np.uint8))[1].tobytes()
+    with pytest.raises(BadInput, match="x has 8100 x 8000 pixels, more than the 64000000"):
+        decode_print_image(data, "x")

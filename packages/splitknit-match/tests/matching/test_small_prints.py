@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.io.prints import read_print_png, write_print_png
+from splitknit.io.prints import write_print_png
 from splitknit_match import match
 from splitknit_match.matching.fusion import SMALL_MM2, fused_match
 from splitknit_match.matching.inputs import print_template
@@ -21,6 +21,7 @@ from splitknit_match.matching.methods import fmr_basis, rate, scores_of, similar
 from splitknit_match.matching.score import read_own_rates
 from splitknit_match.matching.template import VERSION, Template, leveled, pack, print_size, unpack
 from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae, pack_minutiae
+from splitknit_match.records.pictures import read_print_png
 from splitknit_match.records.templates import write_template
 
 

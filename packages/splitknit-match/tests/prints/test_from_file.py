@@ -16,7 +16,6 @@ from PIL import Image
 from fmr_samples import three_minutiae
 from spiral_prints import PLACES, spiral_print
 from splitknit.errors import BadInput
-from splitknit.io.prints import PrintFile
 from splitknit_match import enroll, identify, match
 from splitknit_match.matching.inputs import held, read_side
 from splitknit_match.prints.from_file import (
@@ -29,6 +28,7 @@ from splitknit_match.prints.from_file import (
     resolution_doubt,
 )
 from splitknit_match.prints.make import enhance, minutiae_by_phase
+from splitknit_match.records.pictures import PrintFile
 
 
 def saved(image: NDArray[np.uint8], kind: str, ppi: float | None, **more) -> bytes:

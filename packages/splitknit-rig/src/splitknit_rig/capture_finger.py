@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
@@ -223,10 +224,13 @@ def capture(
 
 
 def _check_who(subject: str | None, finger: str | None, session: int | None) -> None:
-    from splitknit.io.enrolment import FINGERS, check_subject_id
+    from splitknit.io.enrolment import FINGERS
 
-    if subject is not None:
-        check_subject_id(subject)
+    require(
+        subject is None or re.fullmatch(r"[A-Za-z0-9_-]{1,32}", subject) is not None,
+        f"'{subject}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as"
+        " S01), never a name.",
+    )
     require(
         finger is None or finger in FINGERS,
         f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.",

@@ -21,9 +21,11 @@ import pytest
 from enrolled import facts_of, refusal_of
 from faulty_scene import Faults, FaultyScene
 from splitknit.cli.main import main
+from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture
 from splitknit.io.rig import write_rig
 from splitknit.nominal import default_rig
+from splitknit_rig import capture_finger
 from splitknit_simulator import twin_devices
 from splitknit_simulator.twin import FingerScene
 
@@ -329,3 +331,10 @@ def test_sigterm_leaves_nothing_half_written(tmp_path):
     assert process.returncode == 130, err
     assert b"interrupted" in err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("text", ["", "Ann Lee", "../x", "S01/x", "Ä", "x" * 33, "a.b", "S01\n"])
+def test_a_subject_id_that_could_name_a_person_or_a_path_is_refused(text):
+    with pytest.raises(BadInput, match="never a name"):
+        capture_finger._check_who(text, None, None)
+    capture_finger._check_who("S-01_b", None, None)

@@ -4,7 +4,6 @@ its true surface."""
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from splitknit.arguments import AnyPath, Natural, Progress, Report, Scale, checked, silent
@@ -55,10 +54,10 @@ def demo(
     0.97
     """
     from splitknit import read_capture, reconstruct, write_capture
-    from splitknit.accuracy import TRUTH_ARRAYS
     from splitknit.io.atomic import atomic_folder
     from splitknit.io.targets import check_target
     from splitknit.report.result import make_report, write_results
+    from splitknit_simulator.accuracy import compare
     from splitknit_simulator.twin import simulate_capture, twin_settings
 
     started, folder = time.perf_counter(), Path(out)
@@ -70,15 +69,16 @@ def demo(
         write_capture(simulated, target / "capture", truth)
         del simulated
         capture = read_capture(target / "capture")
-        compared = {name: truth[name] for name in TRUTH_ARRAYS}
         results = []
+        comparisons = []
         for k, preset in enumerate(PRESETS):
             progress(f"reconstructing, {preset}", 0.4 + 0.25 * k)
             results.append(reconstruct(capture, preset))
-            write_results(results[-1], capture, target / preset, compared)
+            comparisons.append(compare(results[-1], truth))
+            write_results(results[-1], capture, target / preset, comparisons[-1:])
         progress("comparing", 0.92)
         title = "splitknit demo: a simulated 3D fingerprint"
-        report = make_report(results[0], replace(capture, truth=None), compared, results[1:], title)
+        report = make_report(results[0], capture, comparisons, results[1:], title)
         facts = report.write(target, list(WRITTEN))
     progress("done", 1.0)
     total_s = time.perf_counter() - started

@@ -88,9 +88,9 @@ def test_a_rig_of_another_camera_or_other_leds_is_refused(bench, tmp_path, capsy
         (
             "few.json",
             Rig(rig.camera, rig.leds[:9]),
-            "LED 9, which lit images of the band 'nir', is not in it",
+            "bands.nir.leds: LED 9 is not in the rig",
         ),
-        ("swapped.json", Rig(rig.camera, swapped), "is of the band 'nir' there"),
+        ("swapped.json", Rig(rig.camera, swapped), "which is a 'nir' LED in the rig, not 'white'"),
         ("other.json", another, "is the rig of another camera"),
     ):
         write_rig(wrong, tmp_path / name)

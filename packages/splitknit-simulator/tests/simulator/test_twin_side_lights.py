@@ -71,7 +71,10 @@ def test_side_lights_lower_the_ridge_error_without_films():
     assert not any(
         "from the side" in warning or "to the side" in warning for warning in both.warnings
     )
-    errors = [splitknit.compare(result, truth).figures["ridge_rms_um"] for result in (both, before)]
+    errors = [
+        splitknit_simulator.compare(result, truth).figures["ridge_rms_um"]
+        for result in (both, before)
+    ]
     assert errors[0] < 0.95 * errors[1], errors
 
 

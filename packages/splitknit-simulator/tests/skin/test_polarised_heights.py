@@ -162,7 +162,7 @@ def test_a_polarised_capture_has_measured_heights(simulated):
     result = splitknit.reconstruct(capture, settings={"metric.rounds": 1})
     assert result.facts["heights"] == "measured"
     assert result.facts["optics"]["relief_by"] == "polarised"
-    figures = splitknit.compare(result, truth).figures
+    figures = splitknit_simulator.compare(result, truth).figures
     assert figures["ridge_correlation"] > 0.95
     assert figures["ridge_gain"] == pytest.approx(1.0, abs=0.1)
 

@@ -1,7 +1,6 @@
 """The door: what users (``__all__``) and the other members may import; all else may change
 tomorrow."""
 
-from splitknit.accuracy import compare as compare
 from splitknit.capture import Ambient as Ambient
 from splitknit.capture import Band as Band
 from splitknit.capture import Capture as Capture
@@ -35,7 +34,6 @@ __all__ = [
     "Reconstruction",
     "Rig",
     "__version__",
-    "compare",
     "preset_settings",
     "read_capture",
     "read_photographs",

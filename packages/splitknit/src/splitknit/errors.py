@@ -64,13 +64,13 @@ def require(condition: Any, message: str, kind: type[BadInput] = BadInput) -> No
 
 @contextlib.contextmanager
 def importing(message: str) -> Iterator[None]:
-    """Turn a failure to import a package that not every installation has into BadInput. `message`
-    says how to get it; ``{error}`` in it becomes Python's reason.
+    """Turn a failure to import a package that not every installation has into BadInput, with
+    Python's reason. `message` says how to get it.
     """
     try:
         yield
     except (ImportError, OSError) as error:
-        raise BadInput(message.format(error=error)) from error
+        raise BadInput(f"{message.rstrip('.')} ({error}).") from error
 
 
 def naming(path: object, work: Callable[[], T]) -> T:

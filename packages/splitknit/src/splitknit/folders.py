@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Literal
 
 from splitknit.arguments import (
@@ -16,11 +17,11 @@ from splitknit.arguments import (
     Encoding,
     Preset,
     Progress,
+    Report,
     Settings,
     checked,
     refuse_given,
     silent,
-    text_of,
 )
 from splitknit.errors import BadInput, naming, require
 from splitknit.findings import SEVERITY_WORDS, Finding, Severity, worst_first
@@ -31,6 +32,7 @@ from splitknit.io.photographs import (
     GivenPhotographs,
     Lights,
 )
+from splitknit.registry import IMPORTS, registered
 
 if TYPE_CHECKING:
     from splitknit.capture import Capture
@@ -52,11 +54,8 @@ def read_photographs(
     tip_direction_deg: float | None = None,
     encoding: Encoding | None = None,
     brightness: Literal["estimate", "equal"] | None = None,
-    max_megapixels: float | None = None,
     background: float | AnyPath | None = None,
     crossed: AnyPath | None = None,
-    mosaic: Literal["mono", "colour"] | None = None,
-    film_deg: float = 90.0,
     flat: AnyPath | None = None,
     nir: AnyPath | None = None,
 ) -> Capture:
@@ -75,7 +74,7 @@ def read_photographs(
         Scale on the object; without it heights are in pixels.
     light_frame, ridge_period_mm, mask, material, tip_direction_deg, encoding : optional
         See :class:`splitknit.io.photographs.GivenPhotographs`, whose fields they are.
-    brightness, max_megapixels, background, crossed, mosaic, film_deg, flat, nir : optional
+    brightness, background, crossed, flat, nir : optional
         Likewise.
 
     Returns
@@ -106,14 +105,15 @@ def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
     """Photographs as a capture, and what was assumed of them. Raises BadInput as
     :func:`read_photographs`."""
     from splitknit.observation.plain import capture_from_photographs
+    from splitknit.reconstruction import UNKNOWN_SCALE
 
     images = photographs.images
     assert images is not None
-    read = capture_from_photographs(photographs)
-    capture, notes = _with_frame_and_scale(read.capture, images, photographs, None)
-    known = capture.rig.camera.scale_known
-    kept = [finding for finding in read.notes if finding.code != "scale-unknown" or not known]
-    return capture, [*kept, *notes]
+    read, assumed = capture_from_photographs(photographs)
+    capture, notes = _with_frame_and_scale(read, images, photographs, None)
+    if not capture.rig.camera.scale_known:
+        notes.append(Finding("scale-unknown", UNKNOWN_SCALE))
+    return capture, [*assumed, *notes]
 
 
 def _with_frame_and_scale(
@@ -129,41 +129,6 @@ def _with_frame_and_scale(
         source, partial(with_scale, capture, px_per_mm, photographs.ridge_period_mm)
     )
     return capture, [Finding("scale-of-ridges", note)] if note else []
-
-
-@dataclass(frozen=True, slots=True)
-class Reconstructed:
-    """What :func:`reconstruct_to_folder` wrote."""
-
-    facts: dict[str, Any]
-    """Those of ``report.json``, and ``out``, ``area_mm2``, ``total_s``."""
-
-    def __str__(self) -> str:
-        facts = self.facts
-        result, out = facts["result"], facts["out"]
-        known = result["scale_known"]
-        measured = (
-            f"{facts['area_mm2']:.0f} mm²" if known else f"{result['area_px']} px (scale unknown)"
-        )
-        findings = [
-            f"{SEVERITY_WORDS[each['severity']]}: {each['message']}" for each in facts["findings"]
-        ]
-        # the worst stand first
-        doubts = sum(each["severity"] != Severity.NOTE for each in facts["findings"])
-        lines = [
-            *findings[:doubts],
-            f"{measured} reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
-            f"Written to {out}: {', '.join(facts['files'])}.",
-            *findings[doubts:],
-        ]
-        for preset, figure in facts["comparison"].items():
-            rms = f"surface rms {figure['surface_rms_mm']:.3f} mm"
-            ridges = (
-                f"ridge correlation {figure['ridge_correlation']:.2f}, ridge gain"
-                f" {figure['ridge_gain']:.2f}"
-            )
-            lines.append(f"Against the truth ({preset}): {rms}, {ridges}.")
-        return text_of([*lines, f"Open {Path(out) / 'report.html'} in a browser."])
 
 
 @checked
@@ -183,7 +148,7 @@ def reconstruct_to_folder(
     settings: Settings = None,
     photographs: AllPhotographs = NO_PHOTOGRAPHS,
     progress: Progress = silent,
-) -> Reconstructed:
+) -> Report:
     """Turn a capture folder, photographs or a normal map into a surface.
 
     Parameters
@@ -225,7 +190,8 @@ def reconstruct_to_folder(
 
     Returns
     -------
-    Reconstructed
+    Report
+        Facts of ``report.json``, and ``out``, ``area_mm2``, ``total_s``.
 
     Raises
     ------
@@ -301,9 +267,32 @@ def reconstruct_to_folder(
             raise BadInput(f"{source}: {error}") from error
     progress("done", 1.0)
     total_s = time.perf_counter() - started
-    return Reconstructed(
-        {**facts, "out": str(out), "area_mm2": facts["result"]["area_mm2"], "total_s": total_s}
-    )
+    facts |= {"out": str(out), "area_mm2": facts["result"]["area_mm2"], "total_s": total_s}
+    return Report(facts, tuple(_lines(facts)))
+
+
+def _lines(facts: dict[str, Any]) -> Iterator[str]:
+    """What was written, for people; what spoils it first."""
+    result, out = facts["result"], facts["out"]
+    area = f"{result['area_px']} px (scale unknown)"
+    if result["scale_known"]:
+        area = f"{facts['area_mm2']:.0f} mm²"
+    findings = [
+        f"{SEVERITY_WORDS[each['severity']]}: {each['message']}" for each in facts["findings"]
+    ]
+    # the worst stand first
+    doubts = sum(each["severity"] != Severity.NOTE for each in facts["findings"])
+    yield from findings[:doubts]
+    yield f"{area} reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s."
+    yield f"Written to {out}: {', '.join(facts['files'])}."
+    yield from findings[doubts:]
+    for preset, figure in facts["comparison"].items():
+        yield (
+            f"Against the truth ({preset}): surface rms {figure['surface_rms_mm']:.3f} mm, ridge"
+            f" correlation {figure['ridge_correlation']:.2f}, ridge gain"
+            f" {figure['ridge_gain']:.2f}."
+        )
+    yield f"Open {Path(out) / 'report.html'} in a browser."
 
 
 def _check_sources(
@@ -337,16 +326,16 @@ def _written(
     keep_steps: bool,
 ) -> dict[str, Any]:
     """Write the result; return the facts of its report."""
-    from splitknit.accuracy import read_truth
     from splitknit.report.result import write_files, write_steps
 
-    truth = None
-    if small is not None and small.truth is not None and result.scale_known:
-        truth = read_truth(small)
+    comparisons = []
+    compare = registered(IMPORTS).get("truth")  # the simulator's
+    if compare and small is not None and small.truth is not None and result.scale_known:
+        comparisons.append(resolve_name(compare)(result, small))
     step_facts, step_files = write_steps(kept, target)
     if keep_steps:
         result = replace(result, facts={**result.facts, "steps": step_facts})
-    return write_files(result, small, target, truth, step_files)
+    return write_files(result, small, target, comparisons, step_files)
 
 
 def _small(capture: Capture) -> Capture:

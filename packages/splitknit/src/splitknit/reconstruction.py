@@ -147,6 +147,28 @@ class Reconstruction:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """What a reconstruction got right, by the truth of a simulator
+    (``splitknit_simulator.compare``)."""
+
+    preset: str
+    figures: Mapping[str, float]
+    """``surface_rms_mm``, ``shape_rms_mm``, ``normals_mean_deg``, ``ridge_correlation``,
+    ``ridge_gain``, ``ridge_rms_um``, ``ridge_truth_std_um``, ``ridge_good_area``, the same for the
+    whole height (``height_band_*``), ``mask_on_finger`` (fraction of the mask on the true finger),
+    ``mask_overlap`` (intersection over union; the true mask goes on below the crease) and
+    ``ridge_area_mm2``."""
+    height_error_mm: FloatArray
+    """(H, W) estimate minus truth, mean removed, NaN outside the common mask."""
+    ridge_error_um: FloatArray
+    """(H, W) estimated minus true ridge band, NaN outside the common mask."""
+    surface: BoolArray
+    """(H, W) where the surface's figures count."""
+    band: BoolArray
+    """(H, W) where the ridge band's figures count."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Surface:
     """The part of a reconstruction that prints and matching need."""
 

@@ -17,7 +17,7 @@ from PIL import Image
 
 from png_files import PNG, chunk
 from splitknit.errors import BadInput
-from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_image
+from splitknit.io.images import decode_image, encode_image, read_image, write_image
 from written_files import read_by_all
 
 
@@ -111,7 +111,6 @@ def test_written_files_keep_their_pixels_and_bytes(tmp_path):
     for suffix in ("png", "tif", "TIFF"):
         path = tmp_path / f"image.{suffix}"
         write_image(path, image)
-        assert image_size(path) == (12, 17)
         np.testing.assert_array_equal(read_image(path), image)
         if suffix != "png":
             np.testing.assert_array_equal(read_by_all(path), image)

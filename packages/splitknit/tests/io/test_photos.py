@@ -11,15 +11,13 @@ import pytest
 import tifffile
 from PIL import Image
 
-from io_shared import import_photographs
+from io_shared import Photographs, import_photographs
 from splitknit.errors import BadInput
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import decode_pixels
 from splitknit.io.photos import read_photo
-from splitknit.io.prints import decode_print_image
 from splitknit.observation.observe import observe
-from splitknit.observation.plain import Photographs
 from splitknit.photometric.lambertian import lambertian
 
 DIRECTIONS = np.array(
@@ -218,14 +216,6 @@ def test_a_picture_of_another_size_than_the_first_is_not_decoded(which, folder, 
     with pytest.raises(BadInput, match=f"{which} has 41 x 60 pixels"):
         import_photographs(folder, background=dark)
     assert set(decoded) == {(60, 60)}
-
-
-@pytest.mark.parametrize("suffix", ["png", "tif", "jpg", "bmp"])
-def test_a_print_of_too_many_pixels_is_not_decoded(suffix, monkeypatch):
-    monkeypatch.setattr("splitknit.io.photos.decode_pixels", never)
-    data = cv2.imencode(f".{suffix}", np.zeros((8100, 8000), np.uint8))[1].tobytes()
-    with pytest.raises(BadInput, match="x has 8100 x 8000 pixels, more than the 64000000"):
-        decode_print_image(data, "x")
 
 
 def test_an_unknown_scale_survives_a_capture_folder(folder):

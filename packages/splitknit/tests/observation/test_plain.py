@@ -217,10 +217,7 @@ def test_places_in_mm_are_near_lights(unmasked):
     write_rig(Rig(Camera(12.5, (25, 35)), leds), unmasked / "rig.json")
     again = import_photographs(unmasked, unmasked / "rig.json").capture.rig
     assert again.leds == rig.leds and again.camera.px_per_mm == 12.5
-    assert (
-        splitknit.read_photographs(unmasked, rig, max_megapixels=0.0004).rig.camera.px_per_mm
-        == 20.0 / 1.5
-    )
+    assert splitknit.read_photographs(unmasked, rig).rig.camera.px_per_mm == 20.0
 
 
 def test_the_encoding_that_a_png_states_is_used(tmp_path):
@@ -339,51 +336,6 @@ def test_brightness_is_estimated_or_equal_as_chosen(tmp_path):
 def test_the_brightness_of_four_lights_cannot_be_estimated(unmasked):
     with pytest.raises(BadInput, match="five lights or more"):
         import_photographs(unmasked, LIGHTS, brightness="estimate")
-
-
-def test_reduced_photographs_are_means_of_linear_light(tmp_path):
-    lights = ball_photographs(tmp_path, srgb_code)
-    write_image(tmp_path / "mask.png", np.pad(np.full((60, 120), 255, np.uint8), ((0, 60), (0, 0))))
-    whole, small = (
-        import_photographs(
-            tmp_path, None, 10.0, encoding="srgb", background=13, max_megapixels=limit
-        )
-        for limit in (None, 120 * 120 / 4e6)
-    )
-    assert any(
-        "of 0.0144 megapixels were reduced to 0.0036 (`max_megapixels`)" in str(note)
-        for note in small.notes
-    )
-    camera = small.capture.rig.camera
-    assert (camera.image_size, camera.px_per_mm, small.capture.encoding) == (
-        (60, 60),
-        5.0,
-        "linear",
-    )
-    assert small.capture.mask[:30].all() and not small.capture.mask[30:].any()
-    stacks = [observe(photographs.capture).white.grey for photographs in (whole, small)]
-    means = stacks[0].reshape(len(lights), 60, 2, 60, 2).mean(axis=(2, 4))
-    np.testing.assert_allclose(stacks[1], means, atol=2e-5)
-
-
-def test_reduced_photographs_are_divided_by_their_flat_ones(tmp_path):
-    """Flat photographs keep their light when the photographs become linear 16-bit means."""
-    lights = ball_photographs(tmp_path, srgb_code)
-    flat = tmp_path / "flat"
-    flat.mkdir()
-    slope = np.linspace(0.2, 0.9, 120)[None].repeat(120, axis=0)
-    for k in range(len(lights)):
-        write_image(flat / f"{k}.png", np.rint(255 * srgb_code(slope)).astype(np.uint8))
-    light = [
-        observe(
-            import_photographs(
-                tmp_path, None, 10.0, encoding="srgb", flat=flat, max_megapixels=limit
-            ).capture
-        ).white.grey
-        for limit in (None, 120 * 120 / 4e6)
-    ]
-    means = light[0].reshape(len(lights), 60, 2, 60, 2).mean(axis=(2, 4))
-    np.testing.assert_allclose(light[1], means, rtol=0.03, atol=1e-3)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 
-from handmade import capture_of, finger
+from handmade import capture_of, comparison_of, finger
 from splitknit.findings import Finding
 from splitknit.report.result import make_report, write_files
 
@@ -133,9 +133,10 @@ def test_strings_cannot_become_markup():
 
 
 def test_presets_are_compared_side_by_side():
-    result, truth = finger()
-    plain_result = replace(result, preset="ea", ridge_mm=0.3 * result.ridge_mm)
-    report = make_report(result, capture_of(result), truth=truth, others=[plain_result])
+    result, _ = finger()
+    plain_result = replace(result, preset="ea")
+    comparisons = [comparison_of(result), comparison_of(plain_result, 0.3)]
+    report = make_report(result, capture_of(result), comparisons, [plain_result])
     assert set(report.facts["comparison"]) == {"metric", "ea"}
     words = " ".join(_page(report.html).words)
     assert "Ridge error, ea" in words
@@ -165,7 +166,7 @@ def test_a_result_without_facts_has_a_report():
 def test_the_page_escapes_control_and_bidi_characters(tmp_path):
     result, _ = finger()
     capture = replace(capture_of(result), subject={"id": "evil\x1b[2J\u202eexe"})
-    write_files(result, capture, tmp_path, None)
+    write_files(result, capture, tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "\\x1b[2J\\u202eexe" in text
     assert all(c.isprintable() or c in "\n\t" for c in text)

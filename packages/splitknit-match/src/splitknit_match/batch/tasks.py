@@ -135,8 +135,7 @@ def connected(address: str) -> Iterator[Any]:
         " certificates (docs/guide/batch.md).",
     )
     with importing(
-        "a cluster needs distributed, which is missing ({error}); install"
-        " 'splitknit-match[cluster]'."
+        "a cluster needs distributed, which is missing; install 'splitknit-match[cluster]'."
     ):
         distributed = importlib.import_module("distributed")
     try:

@@ -30,12 +30,12 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from splitknit import Reconstruction, read_result
-from splitknit.accuracy import eroded
 from splitknit.errors import require
 from splitknit.findings import Finding, Severity, worst_first
 from splitknit.imaging.geometry import (
     Floats,
     bounding_box,
+    eroded,
     height_gradients,
     pixels_above,
     smoothed,
@@ -56,7 +56,7 @@ BANDS_MM = {
     "2.5 to 8 mm": (2.5, 8.0),
     "above 8 mm": (8.0, np.inf),
 }
-"""Shortest and longest wavelength; ``relief``: the ridge band of :mod:`splitknit.accuracy`."""
+"""Shortest and longest wavelength; ``relief``: the ridge band of the accuracy."""
 SLANTS_DEG = {
     "0 to 40": (0.0, 40.0),
     "0 to 20": (0.0, 20.0),

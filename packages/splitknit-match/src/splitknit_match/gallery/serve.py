@@ -28,7 +28,6 @@ from splitknit import BadInput
 from splitknit.errors import importing, printable, require
 from splitknit.files import read_bytes
 from splitknit.io.images import cores
-from splitknit.io.prints import PrintFile
 from splitknit.io.provenance import known_json
 from splitknit_match.gallery.file import MAX_NAME, Unavailable
 from splitknit_match.gallery.gallery import Gallery
@@ -37,6 +36,7 @@ from splitknit_match.matching.match import make_template
 from splitknit_match.prints.from_file import MAX_PPI, MIN_PPI, minutiae_of, pressed_print
 from splitknit_match.prints.make import enhance, measured
 from splitknit_match.prints.minutiae_record import pack_minutiae
+from splitknit_match.records.pictures import PrintFile
 from splitknit_match.records.print_formats import decode_prints
 
 _log = logging.getLogger(__name__)

@@ -49,8 +49,8 @@ from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.records.templates import HEADER_BYTES, MAGIC, decode_template, read_template
 
 if TYPE_CHECKING:
-    from splitknit.io.prints import PrintFile
     from splitknit_match.prints.pressed import PressedRidges
+    from splitknit_match.records.pictures import PrintFile
 
 _LEAST_OF_PRINTS_MM2 = LEAST_MM2 / 3
 """Of a print a third of the area suffices that surfaces need: small sensors show little, and show
@@ -202,8 +202,8 @@ def read_side(  # noqa: PLR0911 - one for each kind
     if isinstance(finger, Prepared):
         return Side(Path("template"), "template", template=finger.template, prepared=finger)
     if isinstance(finger, Pixels):
-        from splitknit.io.prints import PrintFile
         from splitknit_match.prints.from_file import prepared  # a template needs none of it
+        from splitknit_match.records.pictures import PrintFile
 
         item = PrintFile(finger.image, finger.resolution_ppi, {}, impression=finger.impression)
         return _print_side(Path("array"), prepared(item, finger.ridges))
@@ -406,10 +406,10 @@ def print_template(
     several fingers, or as
     :func:`splitknit_match.matching.ridge_band.print_band`.
     """
-    from splitknit.io.prints import PrintFile  # templates of others need none of these
     from splitknit_match.prints.from_file import SEVERAL, pressed_print
     from splitknit_match.prints.make import enhance, minutiae_by_phase
     from splitknit_match.prints.pressed import pressed_ridges
+    from splitknit_match.records.pictures import PrintFile  # templates of others need none of these
 
     image = at_500_ppi(image, ppi)
     inside, minutiae, lacks, several = (

@@ -23,7 +23,7 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import photographs_hint
 from splitknit.io.fields import read_json, text_of
 from splitknit.io.light_list import write_light_list
-from splitknit.io.prints import PrintFile, provenance_texts
+from splitknit.io.prints import provenance_texts
 from splitknit.io.provenance import file_hash, json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
@@ -45,6 +45,7 @@ from splitknit_match.records.minutiae_record import (
     VENDOR_UNKNOWN,
     FingerView,
 )
+from splitknit_match.records.pictures import PrintFile
 from splitknit_match.records.print_formats import FORMATS, WSQ_PPI, PrintFormat, Writing
 from splitknit_match.records.surface_files import map_files, surface_bytes
 

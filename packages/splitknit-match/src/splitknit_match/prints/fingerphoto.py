@@ -32,7 +32,6 @@ from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import bounding_box
 from splitknit.io.images import MAX_BYTES, read_header
 from splitknit.io.photos import SUFFIXES, Photo, decode_photo, read_photo
-from splitknit.io.prints import is_coloured
 from splitknit.model import BoolArray, FloatArray, GreyArray, PixelArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit_match.prints.enhance import node_amplitudes
@@ -43,6 +42,7 @@ from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
+from splitknit_match.records.pictures import is_coloured
 
 PHOTOGRAPH = "fingerphoto"
 """Code of the finding of every photograph of a finger."""

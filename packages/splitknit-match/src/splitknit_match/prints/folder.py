@@ -16,7 +16,7 @@ from splitknit.errors import naming
 from splitknit.findings import Finding, worst_first
 from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.npz import write_npz
-from splitknit.io.prints import PrintFile, write_print_png
+from splitknit.io.prints import write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
 from splitknit.model import GreyArray, Progress, no_progress
 from splitknit_match.prints.fingerphoto import FingerPhoto
@@ -31,6 +31,7 @@ from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.sources import Source
 from splitknit_match.records.minutiae_files import encode_minutiae_record
+from splitknit_match.records.pictures import PrintFile
 
 if TYPE_CHECKING:
     from splitknit_match.rolled.finger import Rolled

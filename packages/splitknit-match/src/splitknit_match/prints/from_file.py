@@ -18,7 +18,6 @@ from splitknit.errors import require
 from splitknit.findings import Finding, Severity
 from splitknit.finger.regions import dilate, fill_holes, largest_component
 from splitknit.imaging.pixels import bin_mean
-from splitknit.io.prints import PrintFile, read_print_png
 from splitknit.model import BoolArray, FloatArray, GreyArray
 from splitknit_match.prints.make import Print
 from splitknit_match.prints.minutiae import at_500_ppi, is_a_fingers
@@ -28,6 +27,7 @@ from splitknit_match.prints.print_map import PrintMap, plane_map
 from splitknit_match.prints.ridge_field import closed_opened
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.minutiae_record import FINGER_CODES, RESOLUTION_500_PPI, FingerView
+from splitknit_match.records.pictures import PrintFile, read_print_png
 from splitknit_match.records.print_formats import read_prints
 
 UNKNOWN_POLARITY = Finding(

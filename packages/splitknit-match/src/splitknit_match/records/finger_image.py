@@ -13,7 +13,7 @@ import numpy as np
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.io.images import decode_image
-from splitknit.io.prints import PrintFile, encode_print_png
+from splitknit.io.prints import encode_print_png
 from splitknit.model import GreyArray
 from splitknit_match.records.fmr_bytes import Cursor, check_length
 from splitknit_match.records.jpeg2000_image import decode_jpeg2000, encode_jpeg2000
@@ -23,6 +23,7 @@ from splitknit_match.records.minutiae_record import (
     name_of,
     standard_code,
 )
+from splitknit_match.records.pictures import PrintFile
 from splitknit_match.records.wsq_image import decode_wsq, encode_wsq
 
 MAGIC = b"FIR\0"

@@ -15,7 +15,6 @@ from typing import Any
 
 from splitknit import BadInput
 from splitknit.errors import importing, refusing, require
-from splitknit.io.prints import PrintFile
 from splitknit_match.records.finger_image import (
     MAX_PIXELS,
     compression_of,
@@ -30,6 +29,7 @@ from splitknit_match.records.minutiae_record import (
     name_of,
     standard_code,
 )
+from splitknit_match.records.pictures import PrintFile
 
 TAG = b"\x64"
 """First byte: application tag 4, constructed."""

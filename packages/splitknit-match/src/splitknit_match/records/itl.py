@@ -16,7 +16,6 @@ from collections.abc import Iterator, Mapping
 from splitknit import BadInput
 from splitknit.errors import naming, require
 from splitknit.findings import Finding
-from splitknit.io.prints import PrintFile
 from splitknit_match.records.finger_image import (
     MAX_PIXELS,
     compression_of,
@@ -25,6 +24,7 @@ from splitknit_match.records.finger_image import (
     ppi_of,
 )
 from splitknit_match.records.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, name_of
+from splitknit_match.records.pictures import PrintFile
 
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
 _TAG = re.compile(rb"[0-9]{1,2}\.([0-9]{1,9}):")

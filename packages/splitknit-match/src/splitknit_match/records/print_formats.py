@@ -13,7 +13,7 @@ from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.files import open_file
 from splitknit.io.images import BMP, JPEG, PNG, TIFFS
-from splitknit.io.prints import PrintFile, decode_print_image, encode_print_png, encode_print_tiff
+from splitknit.io.prints import encode_print_png
 from splitknit_match.records import finger_image, iso39794
 from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005, what_bytes_are
 from splitknit_match.records.itl import decode_transaction
@@ -23,6 +23,7 @@ from splitknit_match.records.minutiae_files import (
     encode_minutiae_record,
 )
 from splitknit_match.records.minutiae_record import VENDOR_UNKNOWN, FingerView
+from splitknit_match.records.pictures import PrintFile, decode_print_image, encode_print_tiff
 from splitknit_match.records.wsq_image import SIGNATURE, decode_wsq, encode_wsq
 
 WSQ_PPI = 500.0

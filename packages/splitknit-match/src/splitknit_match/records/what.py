@@ -45,9 +45,9 @@ def what(file: AnyPath, *others: AnyPath) -> Report:
 def _what(path: Path) -> Report:
     """Report on one file."""
     from splitknit.files import open_file
-    from splitknit.io.prints import PrintFile
     from splitknit.io.provenance import file_hash
     from splitknit_match.records.fmr_bytes import standard_of, what_bytes_are
+    from splitknit_match.records.pictures import PrintFile
     from splitknit_match.records.print_formats import FORMATS, read_prints
 
     with open_file(path, 1 << 50) as (stream, size):

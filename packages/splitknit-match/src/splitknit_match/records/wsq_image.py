@@ -25,8 +25,8 @@ import numpy as np
 
 from splitknit import BadInput
 from splitknit.errors import require
-from splitknit.io.prints import PrintFile
 from splitknit.model import GreyArray
+from splitknit_match.records.pictures import PrintFile
 
 BIT_RATE = 0.75
 """Bits a pixel that the encoder aims at; files come out smaller, about 1/15 of the pixels' bytes.

@@ -6,9 +6,15 @@ import cv2
 import numpy as np
 
 from splitknit import BadInput, Reconstruction
-from splitknit.accuracy import BAND_SIGMA_MM, eroded, high_passed
 from splitknit.errors import require
-from splitknit.imaging.geometry import Floats, pixels_above, sampled_at
+from splitknit.imaging.geometry import (
+    BAND_SIGMA_MM,
+    Floats,
+    eroded,
+    high_passed,
+    pixels_above,
+    sampled_at,
+)
 from splitknit.model import BoolArray, FloatArray
 from splitknit_rig.calibration.phantom import FIELDS_END_MM, PITCH_MM, PLATE_MM, phantom
 

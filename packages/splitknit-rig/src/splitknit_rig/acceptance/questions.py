@@ -19,12 +19,18 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from splitknit import BadInput, Capture, Reconstruction, Rig, reconstruct
-from splitknit.accuracy import BAND_SIGMA_MM, EROSION_MM, eroded, high_passed
 from splitknit.errors import require
 from splitknit.findings import Severity
 from splitknit.finger.motion import shot_motion
 from splitknit.finger.regions import reduce_image, reduce_mask
-from splitknit.imaging.geometry import bounding_box, wide_blur
+from splitknit.imaging.geometry import (
+    BAND_SIGMA_MM,
+    EROSION_MM,
+    bounding_box,
+    eroded,
+    high_passed,
+    wide_blur,
+)
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.light import Light
 from splitknit.observation.observe import observe

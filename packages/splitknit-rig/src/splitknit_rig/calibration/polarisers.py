@@ -27,7 +27,7 @@ from splitknit.io.capture import with_rig
 from splitknit.io.images import write_image
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.model import Array, BoolArray, Films, FloatArray, Progress, no_progress
-from splitknit.observation.films import crossed_place, undone
+from splitknit.observation.films import crossed_place
 from splitknit.observation.light import Light
 from splitknit_rig.calibration.radiometry import rounded
 from splitknit_rig.calibration.radiometry_folder import residual_tile
@@ -113,6 +113,17 @@ def _series(capture: Capture) -> tuple[Light, Light]:
     return Light(near, capture.rig, capture.encoding), Light(far, capture.rig, capture.encoding)
 
 
+def _undone(image: FloatArray, films: Films) -> FloatArray:
+    """A crossed image (h, w) or (h, w, C), of floats or as stored, resampled onto the parallel
+    one's pixels."""
+    matrix = crossed_place(films, image.shape)
+    size = (image.shape[1], image.shape[0])
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return np.asarray(
+        cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    )
+
+
 def _image(light: Light, k: int) -> FloatArray:
     """(h, w, 3) linear light of one image."""
     return np.ascontiguousarray(np.moveaxis(light.of_images([k]).stack[:, 0], 0, 2))
@@ -144,7 +155,7 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
     residuals = []
     for k in range(near.photographs):
         good = inner * ~(near.of_images([k]).clipped[0] | far.of_images([k]).clipped[0])
-        parts = (good, _image(near, k), undone(_image(far, k), films))
+        parts = (good, _image(near, k), _undone(_image(far, k), films))
         whole, p, c = (block_means(part, cells, side) for part in parts)
         bright = pick_channel(p, "grey")
         used = (whole > 0.999) & (bright > max(0.4 * float(np.percentile(bright, 95)), 0.0))

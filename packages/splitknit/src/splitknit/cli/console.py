@@ -21,8 +21,8 @@ def one_line(error: object, options: Mapping[str, str]) -> str:
     Arguments of Python functions, which stand between backticks, become the options of the verb
     that ran.
 
-    >>> one_line("give `px_per_mm` 20, or `max_megapixels`.", {"max_megapixels": "--max-size"})
-    'give px_per_mm 20, or --max-size.'
+    >>> one_line("give `px_per_mm` 20, or `ridge_period_mm`.", {"px_per_mm": "--px-per-mm"})
+    'give --px-per-mm 20, or ridge_period_mm.'
     """
     return printable(" ".join(with_options(str(error), options).split()) or "no further words")
 

@@ -71,7 +71,8 @@ CODES: dict[str, Code] = {
         "Look at it.",
     ),
     "several-fingers": Code(
-        "Several fingers are in view, and one is reconstructed.", "Cut the hand apart (`import`)."
+        "Several fingers are in view, and one is reconstructed.",
+        "Photograph one alone, or mark it in a mask.",
     ),
     "odd-finger-width": Code(
         "The finger is oddly wide or narrow.", "Check the scale, or the mask."
@@ -231,7 +232,6 @@ CODES: dict[str, Code] = {
         "Pixels of a print that were not square were made so.", "Nothing; or scan it again."
     ),
     "skipped-files": Code("Files of the folder were not used.", "Look at their names."),
-    "reduced-photographs": Code("The photographs were reduced.", "Give a larger `--max-size`."),
     "turned-photographs": Code(
         "The photographs were turned as their EXIF data say.", "Give lights for them upright."
     ),

@@ -212,8 +212,8 @@ def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
         (
             Finding(
                 "several-fingers",
-                f"the view shows {count} fingers, of which one is reconstructed: cut them apart"
-                " with 'splitknit import CAPTURE --fingers auto --out HAND'.",
+                f"the view shows {count} fingers, of which one is reconstructed: photograph it"
+                " alone, or mark it in a mask.",
                 Severity.DOUBT,
             ),
         )

@@ -116,6 +116,26 @@ def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray
     return np.where(mask, total / fraction + middle, 0.0)
 
 
+EROSION_MM = 0.33
+"""Distance from the edge of a surface from which on its accuracy is measured. Source: definition of
+the figures (docs/experiments/accuracy.md)."""
+BAND_SIGMA_MM = 0.32
+"""Standard deviation of the Gaussian whose complement is the ridge band. Source: definition of the
+figures (docs/experiments/accuracy.md)."""
+
+
+def high_passed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
+    """Values (H, W) minus their Gaussian mean over the mask; zero outside it."""
+    return np.where(mask, values - smoothed(values, mask, sigma_px), 0.0)
+
+
+def eroded(mask: BoolArray, distance_px: float) -> BoolArray:
+    """Pixels of `mask` (H, W) further than a distance from its edge; the image's border is one."""
+    padded = np.pad(mask, 1).astype(np.uint8)
+    distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    return distance > distance_px
+
+
 def wide_blur(image: FloatArray, sigma: float) -> FloatArray:
     """Gaussian blur for large `sigma`, done on a copy on which it is about four pixels."""
     factor = int(sigma / 4.0)

@@ -10,7 +10,7 @@ import shlex
 import shutil
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,7 +25,7 @@ from splitknit.imaging.pixels import coarse_grid
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import check_contents, image_name, mask_from_image
 from splitknit.io.fields import Version1, inside, read_document
-from splitknit.io.images import StackReader, cores, encode_image, read_image
+from splitknit.io.images import cores, encode_image, read_image, read_stacks
 from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
 from splitknit.io.rig import read_rig, rig_to_json
@@ -61,6 +61,11 @@ class _BandFields(Struct):
     flat: list[str] | None = None
     polarisation: Annotated[str, Meta(pattern="^(parallel|crossed|)$")] = ""
 
+    @property
+    def dark(self) -> _Image | None:
+        """The ambient image."""
+        return _Image(self.ambient) if isinstance(self.ambient, str) else self.ambient
+
 
 class _BandsFields(Struct, forbid_unknown_fields=True):
     white: _BandFields
@@ -81,34 +86,25 @@ class _CaptureFields(Struct):
     subject: dict[str, Any] | None = None
     captured_at: str | None = None
     sha256: dict[str, str] = {}
-    shading: Any = None
 
 
-@dataclass(frozen=True, slots=True)
-class _StatedBand:
-    """One band as the document describes it; all paths lie inside the folder."""
-
-    band: Band  # without pixels; its files are relative to the folder
-    files: tuple[Path, ...]
-    dark: Path | None  # the ambient image, whose pixels `band` lacks too
-    flat: tuple[Path, ...]
-
-
-def _stated_bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, _StatedBand]:
-    stated: dict[str, _StatedBand] = {}
+def _stated_bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, Band]:
+    """The bands as the document describes them, without pixels; their files are relative to the
+    folder, and lie inside it."""
+    stated: dict[str, Band] = {}
     places: set[Path] = set()
     for key in BANDS:
         fields = getattr(bands, key)
         if fields is None:
             continue
         stated[key] = _stated_band(fields, folder, rig, key, name)
-        for image, file in zip(stated[key].band.files, stated[key].files, strict=True):
+        for image in stated[key].files:
             # a file takes memory each time that it is named, by whatever spelling
-            place = file.resolve()
+            place = (folder / image).resolve()
             require(place not in places, f"{name}: bands.{key}.images names {image!a} twice.")
             places.add(place)
     if bands.white_crossed is not None:
-        _check_pair(stated["white"].band, stated["white_crossed"].band, name, rig)
+        _check_pair(stated["white"], stated["white_crossed"], name, rig)
         require(
             _exposed(bands.white) == _exposed(bands.white_crossed),
             f"{name}: bands.white and bands.white_crossed must state exposure_s for every image,"
@@ -148,7 +144,7 @@ def _check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
     )
 
 
-def _stated_band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> _StatedBand:
+def _stated_band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> Band:
     where = f"{name}: bands.{key}"
     images = [_Image(image) if isinstance(image, str) else image for image in fields.images]
     count = len(images)
@@ -167,34 +163,28 @@ def _stated_band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: st
         len(flat) in (0, count),
         f"{where}.flat names {len(flat)} images; it needs one for each of the {count}.",
     )
+    for list_name, files in (("images", [image.file for image in images]), ("flat", flat)):
+        for k, file in enumerate(files):
+            inside(folder, file, name, f"bands.{key}.{list_name}[{k}]")
     exposures = [image.exposure for image in images]
     levels = [image.black_level for image in images]
-    ambient = _Image(fields.ambient) if isinstance(fields.ambient, str) else fields.ambient
-    dark = unread = None
+    dark, ambient = fields.dark, None
     nothing = np.empty((0, 0, 0, 0), np.uint8)
-    if ambient is not None:
-        dark = inside(folder, ambient.file, name, f"bands.{key}.ambient")
-        exposure = _of_ambient(ambient.exposure, exposures, f"{where}.ambient", "exposure_s")
-        level = _of_ambient(ambient.black_level, levels, f"{where}.ambient", "black_level")
-        unread = Ambient(nothing, 1.0 if exposure is None else exposure, level or 0.0)
-    band = Band(
+    if dark is not None:
+        inside(folder, dark.file, name, f"bands.{key}.ambient")
+        exposure = _of_ambient(dark.exposure, exposures, f"{where}.ambient", "exposure_s")
+        level = _of_ambient(dark.black_level, levels, f"{where}.ambient", "black_level")
+        ambient = Ambient(nothing, 1.0 if exposure is None else exposure, level or 0.0)
+    return Band(
         key,
         nothing,
         leds,
         exposure=np.array([1.0 if value is None else value for value in exposures]),
         black_level=np.array([0.0 if value is None else value for value in levels]),
-        ambient=unread,
+        ambient=ambient,
         files=tuple(image.file for image in images),
         polarisation=fields.polarisation,
     )
-    files = tuple(
-        inside(folder, image.file, name, f"bands.{key}.images[{k}]")
-        for k, image in enumerate(images)
-    )
-    flats = tuple(
-        inside(folder, file, name, f"bands.{key}.flat[{k}]") for k, file in enumerate(flat)
-    )
-    return _StatedBand(band, files, dark, flats)
 
 
 def _of_ambient(
@@ -268,10 +258,6 @@ def read_capture(
     folder = document.parent
     name = str(document)
     fields, _ = read_document(document, _CaptureFields)
-    require(
-        fields.shading is None,
-        f"{name} names a calibrated shading, by which this version reads no heights.",
-    )
     rig_file = inside(folder, fields.rig, name, "rig")
     rig = read_rig(rig_file)
     truth = None if fields.truth is None else inside(folder, fields.truth, name, "truth")
@@ -283,29 +269,34 @@ def read_capture(
     stated = _stated_bands(fields.bands, folder, rig, name)
     size = rig.camera.image_size
     rig_name = f"{rig_file} (is the rig for another camera?)"
-    with StackReader(threads) as reader:
-        stacks = {key: reader.start(each.files, size, rig_name) for key, each in stated.items()}
-        dark = {key: each.dark for key, each in stated.items() if each.dark is not None}
-        ambients = {key: reader.start([file], size, rig_name)[0] for key, file in dark.items()}
-        mask_pixels = None if mask_file is None else reader.start([mask_file], size, rig_name)[0]
-        hashes = reader.finish()
+    groups: dict[str, Sequence[Path]] = {}
+    for key, band in stated.items():
+        groups[key] = [folder / file for file in band.files]
+        dark = getattr(fields.bands, key).dark
+        if dark is not None:
+            groups[f"dark {key}"] = [folder / dark.file]
+    if mask_file is not None:
+        groups["mask"] = [mask_file]
+    stacks, hashes = read_stacks(groups, size, rig_name, threads)
     bands: dict[str, Band] = {}
     others = [document, rig_file]
-    for key, each in stated.items():
+    for key, band in stated.items():
         full = int(np.iinfo(stacks[key].dtype).max)
-        for image, black in zip(each.band.files, each.band.black_level, strict=True):
+        for image, black in zip(band.files, band.black_level, strict=True):
             require(
                 black < full,
                 f"{image} has the black level {black:g}, but its full scale is {full}.",
             )
-        band = replace(each.band, pixels=stacks[key])
+        read = replace(band, pixels=stacks[key])
         if band.ambient is not None:
-            band = replace(band, ambient=replace(band.ambient, pixels=ambients[key]))
-        if each.flat:
-            band = replace(band, flat=np.stack([_flat_image(file) for file in each.flat]))
-            others += each.flat
-        _check_colours(rig, band)
-        bands[key] = band
+            pixels = stacks[f"dark {key}"][0]
+            read = replace(read, ambient=replace(band.ambient, pixels=pixels))
+        flat = [folder / file for file in getattr(fields.bands, key).flat or []]
+        if flat:
+            read = replace(read, flat=np.stack(list(map(_flat_image, flat))))
+            others += flat
+        _check_colours(rig, read)
+        bands[key] = read
     if not may_be_dark:
         check_contents(bands.values())
     hashes |= {str(file): file_hash(file) for file in others}
@@ -321,7 +312,7 @@ def read_capture(
         encoding=fields.encoding,
         material=fields.material,
         tip_direction_deg=fields.tip_direction_deg,
-        mask=None if mask_pixels is None else mask_from_image(mask_pixels, str(mask_file)),
+        mask=None if mask_file is None else mask_from_image(stacks["mask"][0], str(mask_file)),
         subject=fields.subject or {},
         captured_at=fields.captured_at,
         truth=truth,
@@ -353,18 +344,7 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
         f" columns), the capture's have {rows} x {columns}.",
     )
     for band in capture.bands.values():
-        for index in sorted({k for group in band.leds for k in group}):
-            there = (
-                f"of the band '{rig.leds[index].band}' there"
-                if index < len(rig.leds)
-                else "not in it"
-            )
-            require(
-                there == f"of the band '{band.spectral}' there",
-                f"{name} does not fit the capture: LED {index}, which lit images of the band"
-                f" '{band.name}', is {there}.",
-            )
-    for band in capture.bands.values():
+        _check_leds(rig, band.spectral, band.leds, f"{name}: the capture's bands.{band.name}.leds")
         _check_colours(rig, band)
     if "white_crossed" in capture.bands:
         _check_pair(capture.bands["white"], capture.bands["white_crossed"], name, rig)

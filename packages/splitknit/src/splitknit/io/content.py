@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from splitknit.capture import Band
 from splitknit.errors import BadExposure, require
+from splitknit.io.photos import Photo
 from splitknit.model import BoolArray, PixelArray
 
 
@@ -139,6 +140,17 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
         " white either; paint the object white and all else black.",
     )
     return mask
+
+
+def mask_of_photo(photo: Photo, name: str) -> BoolArray:
+    """Mask (H, W) of a picture of any kind: what is not transparent, or as of
+    :func:`mask_from_image`."""
+    pixels = photo.pixels
+    if photo.opaque is not None:
+        pixels = photo.opaque[..., None].astype(np.uint8)
+    elif pixels.dtype.kind == "f":
+        pixels = np.rint(255.0 * np.clip(pixels, 0.0, 1.0)).astype(np.uint8)
+    return mask_from_image(pixels, name)
 
 
 SAMPLE_PIXELS = 200_000

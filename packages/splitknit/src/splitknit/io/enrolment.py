@@ -8,7 +8,6 @@ moment loses nothing. Subjects have numbers, no names; who S01 is, is nobody's b
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -181,17 +180,6 @@ def plan_enrolment(
             " not shrink: leave out `subjects`, `sessions` and `fingers`, or name another folder.",
         )
     return Enrolment(folder, plan)
-
-
-def check_subject_id(text: str) -> str:
-    """Return `text` if it can be a subject's id: letters, digits, - and _ only; it is safe in paths
-    and files."""
-    require(
-        re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None,
-        f"'{text}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as S01),"
-        " never a name.",
-    )
-    return text
 
 
 def _read(file: Path) -> EnrolmentPlan:

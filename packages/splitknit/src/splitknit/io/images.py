@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import io
 import logging
+import math
 import os
 import struct
 import threading
@@ -430,12 +431,6 @@ def read_image(path: str | os.PathLike[str], check: SizeCheck | None = None) -> 
     return decode_image(read_bytes(path, MAX_BYTES), str(path), check=check)
 
 
-def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Rows and columns of an image file, without decoding it."""
-    header = read_header(read_bytes(path, MAX_BYTES), str(path))
-    return header.rows, header.columns
-
-
 def decode_image(
     data: bytes, name: str, max_pixels: int = MAX_PIXELS, check: SizeCheck | None = None
 ) -> PixelArray:
@@ -474,65 +469,65 @@ STACK_BYTES = 4_000_000_000
 colour."""
 
 
-class StackReader:
-    """Decodes many files at once, each into its place in a stack. A context manager; call
-    :meth:`start` for each stack, then :meth:`finish`: all share the threads.
+def read_stacks(
+    groups: Mapping[str, Sequence[Path]],
+    size: tuple[int, int],
+    expected_by: str,
+    threads: int = 0,
+) -> tuple[dict[str, PixelArray], dict[str, str]]:
+    """Decode groups of files at once, each group into a stack (L, H, W, C); and the SHA-256 of each
+    file by its path. `expected_by`: what requires `size` (rows, columns), for messages; `threads`:
+    0 is one for each core, at most eight. The first file at fault is the one reported.
     """
+    pool = ThreadPoolExecutor(threads or cores(), thread_name_prefix="splitknit-read")
+    stacks: dict[str, PixelArray] = {}
+    jobs: list[tuple[str, Future[str]]] = []
+    total = 0
 
-    def __init__(self, threads: int = 0) -> None:
-        """Start so many threads; 0: one for each core, at most eight."""
-        self._pool = ThreadPoolExecutor(threads or cores(), thread_name_prefix="splitknit-read")
-        self._jobs: list[tuple[str, Future[str]]] = []
-        self._bytes = 0
-
-    def __enter__(self) -> StackReader:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
-
-    def start(self, files: Sequence[Path], size: tuple[int, int], expected_by: str) -> PixelArray:
-        """Start decoding into a stack (L, H, W, C), complete after :meth:`finish`; `expected_by`:
-        what requires `size` (rows, columns), for messages."""
-        like = read_header(read_bytes(files[0], MAX_BYTES), str(files[0]))
-        _check_size(like, size, str(files[0]), expected_by)
-        self._bytes += len(files) * size[0] * size[1] * like.channels * like.dtype.itemsize
+    def read(stack: PixelArray, k: int, file: Path, first: Path, like: Header) -> str:
+        name = str(file)
+        data = read_bytes(file, MAX_BYTES)
+        header = read_header(data, name)
+        size_check(size, expected_by, name)(header.rows, header.columns)
         require(
-            self._bytes <= STACK_BYTES,
-            f"{files[0]} and the images with it take {self._bytes} bytes once decoded, more than"
-            f" the {STACK_BYTES} that are read at once; reduce them, or name fewer.",
+            header == like,
+            f"{name} is {header.words}, but {first} is {like.words}; all images of a band must"
+            " agree.",
         )
-        shape = (len(files), *size, like.channels)
-        stack = new_stack(shape, like.dtype)
+        stack[k] = _plain_pixels(data, header, name)
+        return hashlib.sha256(data).hexdigest()
 
-        def read(k: int) -> str:
-            name = str(files[k])
-            data = read_bytes(files[k], MAX_BYTES)
-            header = read_header(data, name)
-            _check_size(header, size, name, expected_by)
+    try:
+        for key, files in groups.items():
+            like = read_header(read_bytes(files[0], MAX_BYTES), str(files[0]))
+            size_check(size, expected_by, str(files[0]))(like.rows, like.columns)
+            shape = (len(files), *size, like.channels)
+            total += math.prod(shape) * like.dtype.itemsize
             require(
-                header == like,
-                f"{name} is {header.words}, but {files[0]} is {like.words}; all images of a band"
-                " must agree.",
+                total <= STACK_BYTES,
+                f"{files[0]} and the images with it take {total} bytes once decoded, more than the"
+                f" {STACK_BYTES} that are read at once; reduce them, or name fewer.",
             )
-            stack[k] = _plain_pixels(data, header, name)
-            return hashlib.sha256(data).hexdigest()
-
-        self._jobs += [(str(file), self._pool.submit(read, k)) for k, file in enumerate(files)]
-        return stack
-
-    def finish(self) -> dict[str, str]:
-        """Wait for all files; return the SHA-256 of each by its path. The first file at fault is
-        the one reported."""
-        return {name: job.result() for name, job in self._jobs}
+            stack = stacks[key] = new_stack(shape, like.dtype)
+            for k, file in enumerate(files):
+                jobs.append((str(file), pool.submit(read, stack, k, file, files[0], like)))
+        return stacks, {name: job.result() for name, job in jobs}
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _check_size(header: Header, size: tuple[int, int], name: str, expected_by: str) -> None:
-    require(
-        (header.rows, header.columns) == size,
-        f"{name} has {header.rows} x {header.columns} pixels (rows x columns), but "
-        f"{size[0]} x {size[1]} are expected by {expected_by}.",
-    )
+def size_check(size: tuple[int, int], expected_by: str, name: str) -> SizeCheck:
+    """What refuses a picture, `name`, of another size (rows, columns); `expected_by`: what requires
+    it, for messages."""
+
+    def check(rows: int, columns: int) -> None:
+        require(
+            (rows, columns) == size,
+            f"{name} has {rows} x {columns} pixels (rows x columns), but {size[0]} x {size[1]} are"
+            f" expected by {expected_by}.",
+        )
+
+    return check
 
 
 def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:

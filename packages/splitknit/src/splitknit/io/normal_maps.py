@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import importing, refusing, require
+from splitknit.errors import refusing, require
 from splitknit.files import AnyPath, read_bytes
-from splitknit.io.content import mask_from_image
-from splitknit.io.images import MAX_BYTES, check_size
+from splitknit.io.content import mask_of_photo
+from splitknit.io.images import MAX_BYTES, check_size, size_check
 from splitknit.io.npz import read_npy, read_npz
-from splitknit.io.photos import decode_photo, read_photo
+from splitknit.io.photos import decode_photo, of_extra, read_photo
 from splitknit.model import BoolArray, FloatArray
 
 _NO_VECTORS = (
@@ -82,20 +82,9 @@ def unit_vectors(stored: NDArray[Any], name: str, opaque: BoolArray | None = Non
 def read_mask(path: AnyPath, shape: tuple[int, int]) -> tuple[BoolArray, dict[str, str]]:
     """Mask (H, W) of an image, and its SHA-256 by its name. Raises BadInput if it has another
     `shape`."""
-    name = Path(path).name
-
-    def same_size(rows: int, columns: int) -> None:
-        require(
-            (rows, columns) == shape,
-            f"{path} has {rows} x {columns} pixels, but {shape[0]} x {shape[1]} are expected.",
-        )
-
-    photo = read_photo(path, same_size)
-    pixels = photo.pixels
-    if pixels.dtype.kind == "f":
-        pixels = np.rint(255.0 * np.clip(pixels, 0.0, 1.0)).astype(np.uint8)
-    inside = mask_from_image(pixels, str(path)) if photo.opaque is None else photo.opaque
-    return inside, {name: photo.sha256}
+    name = str(path)
+    photo = read_photo(path, size_check(shape, "the picture that it masks", name))
+    return mask_of_photo(photo, name), {Path(path).name: photo.sha256}
 
 
 def _only_map(arrays: dict[str, NDArray[Any]], file: Path) -> NDArray[Any]:
@@ -117,11 +106,8 @@ def _only_map(arrays: dict[str, NDArray[Any]], file: Path) -> NDArray[Any]:
 
 def _exr(data: bytes, name: str) -> NDArray[Any]:
     """The channels R, G, B, or x, y, z, of an OpenEXR file."""
-    with importing(
-        f"{name} (EXR) needs a package that is not installed: pip install 'splitknit[photos]', or"
-        " save it as .npy or 16-bit PNG."
-    ):
-        import OpenEXR  # of the extra `photos`
+    with of_extra(name, "EXR"):
+        import OpenEXR
     with refusing(f"{name} is damaged, or no OpenEXR image of R, G, B or X, Y, Z; save it again."):
         with OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True) as file:
             (left, top), (right, bottom) = file.header()["dataWindow"]

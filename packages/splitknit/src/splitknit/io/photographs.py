@@ -23,8 +23,6 @@ else:
 
 SCALES = Limits(1e-3, 1e5)
 """Of pixels a mm."""
-_ANGLE = Limits(-360, 360)
-"""Angles in degrees. Source: definition of a full turn."""
 
 
 def _value_or_file(kind: Any, tokens: Sequence[Any]) -> float | Path:
@@ -61,7 +59,9 @@ class GivenPhotographs:
     material: Literal["skin", "opaque"] | None = None
     """skin: a finger, whose blur of light is undone; opaque (default): any other thing, left as it
     lies."""
-    tip_direction_deg: Annotated[float | None, _ANGLE, Parameter("--tip-direction")] = None
+    tip_direction_deg: Annotated[float | None, Limits(-360, 360), Parameter("--tip-direction")] = (
+        None
+    )
     """Where a finger's tip points, within 75 degrees: 0 = up, counter-clockwise; left out, it is
     found."""
     encoding: Encoding | None = None
@@ -71,11 +71,6 @@ class GivenPhotographs:
     """Of the lights of an opaque thing: estimated with its surface, or equal, whatever the list
     states (default: as the list states it, else estimated where that explains the photographs
     clearly better)."""
-    max_megapixels: Annotated[
-        float | None, Limits(0, 1000, above=True), Parameter("--max-size")
-    ] = None
-    """Reduce larger photographs to so many megapixels, by means over areas (default: they stay as
-    they are)."""
     background: Annotated[
         float | AnyPath | None, Parameter(converter=_value_or_file, n_tokens=1)
     ] = None
@@ -83,11 +78,6 @@ class GivenPhotographs:
     crossed: AnyPath | None = None
     """Folder of the same photographs in the same order through crossed polarising films; the others
     are then the ones through parallel films; one exposure for all."""
-    mosaic: Literal["mono", "colour"] | None = None
-    """The photographs are raw frames of a camera with films on its pixels (90, 45 / 135, 0 degrees;
-    mono: Sony IMX250MZR, colour: IMX250MYR); each holds the parallel and the crossed image."""
-    film_deg: Annotated[float, _ANGLE, Parameter("--film-angle")] = 90.0
-    """Of `mosaic`: direction of the film before the LEDs, 0 along the rows."""
     flat: AnyPath | None = None
     """Photographs of a flat matt surface, one for each light in the same order and exposure: those
     of the object are divided by them."""
@@ -106,13 +96,6 @@ class GivenPhotographs:
             check_value(f"`{name}`", rule, getattr(self, name))
         both = self.px_per_mm is not None and self.ridge_period_mm is not None
         require(not both, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
-        others = self.encoding == "srgb", self.max_megapixels, self.background_image, self.crossed
-        require(
-            self.mosaic is None or not any(others),
-            "a mosaic of films is linear and holds both series in each frame: leave out `encoding`"
-            " srgb, `max_megapixels`, `crossed` and a `background` that is a photograph.",
-        )
-        require(self.nir is None or self.mosaic is None, "`nir` does not go with `mosaic`.")
 
     @property
     def background_image(self) -> AnyPath | None:
@@ -123,12 +106,9 @@ class GivenPhotographs:
         """Refuse what only photographs have where there are none, but for `others`. Raises
         BadInput."""
         if self.images is None:
-            kept = (*others, "film_deg", "nir")
-            stated = {
-                field.name: getattr(self, field.name)
-                for field in fields(self)
-                if field.name not in kept
-            }
+            stated = {field.name: getattr(self, field.name) for field in fields(self)}
+            for name in (*others, "nir"):
+                del stated[name]
             refuse_given("goes with `images`.", **stated)
 
 

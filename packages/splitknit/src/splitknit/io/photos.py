@@ -12,6 +12,7 @@ import hashlib
 import io
 import os
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, refusing, require
+from splitknit.errors import importing, refusing, require
 from splitknit.files import AnyPath, read_bytes
 from splitknit.io.images import MAX_BYTES, Header, SizeCheck, check_size, decode_pixels, read_header
 from splitknit.model import BoolArray
@@ -31,10 +32,6 @@ SRGB_SUFFIXES = frozenset({".jpg", ".jpeg", ".webp", ".heic", ".heif"})
 """Suffixes of files that have a tone curve."""
 SUFFIXES = RAW_SUFFIXES | SRGB_SUFFIXES | {".png", ".tif", ".tiff", ".bmp"}
 FORMATS = "JPEG, PNG, TIFF, WEBP, BMP, HEIC and camera RAW"
-_EXTRA = (
-    "{} needs a package that is not installed: pip install 'splitknit[photos]', or export it as PNG"
-    " or TIFF."
-)
 _UNREADABLE = "{} cannot be decoded; export it as PNG or TIFF."
 _RAW_TURNS = {0: 1, 3: 3, 5: 8, 6: 6}  # LibRaw's ``flip`` as EXIF's orientation
 
@@ -157,11 +154,17 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
     return np.ascontiguousarray(pixels)
 
 
+def of_extra(name: str, kind: str) -> AbstractContextManager[None]:
+    """A block that imports what reads a `kind` of files: a package of the extra ``photos``."""
+    return importing(
+        f"{name} ({kind}) needs a package that is not installed: pip install 'splitknit[photos]',"
+        " or export it as PNG or TIFF."
+    )
+
+
 def _heic(data: bytes, name: str, check: SizeCheck | None) -> NDArray[Any]:
-    try:
-        import pillow_heif  # of the extra `photos`
-    except ImportError as error:
-        raise BadInput(_EXTRA.format(f"{name} (HEIC)")) from error
+    with of_extra(name, "HEIC"):
+        import pillow_heif
     with refusing(_UNREADABLE.format(name)):
         image = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
         columns, rows = image.size
@@ -173,10 +176,8 @@ def _heic(data: bytes, name: str, check: SizeCheck | None) -> NDArray[Any]:
 
 
 def _raw(data: bytes, name: str, check: SizeCheck | None) -> tuple[NDArray[Any], int]:
-    try:
-        import rawpy  # of the extra `photos`
-    except ImportError as error:
-        raise BadInput(_EXTRA.format(f"{name} (camera RAW)")) from error
+    with of_extra(name, "camera RAW"):
+        import rawpy
     with (
         refusing(f"{name} is not a RAW file that LibRaw reads; export it as linear TIFF."),
         rawpy.imread(io.BytesIO(data)) as raw,

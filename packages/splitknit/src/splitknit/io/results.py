@@ -21,7 +21,7 @@ from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.pixels import srgb_code, srgb_light
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import converted, parse_json, read_document
-from splitknit.io.images import SizeCheck, read_image
+from splitknit.io.images import read_image, size_check
 from splitknit.io.mesh import triangulate, write_ply
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import normal_colours, upright_places, upright_turn
@@ -97,23 +97,16 @@ def read_result(path: AnyPath) -> Reconstruction:
     albedo = np.full(arrays["mask"].shape, np.nan, dtype=np.float32)
     if (folder / "report.json").is_file():
         report, _ = read_document(folder / "report.json", _Report)
-
-    def same_size(name: str) -> SizeCheck:
-        return lambda rows, columns: require(
-            (rows, columns) == albedo.shape,
-            f"{folder}: {name} has another size than height.npz; {_AGAIN}.",
-        )
-
-    if (folder / "albedo.png").is_file():
-        grey = read_image(folder / "albedo.png", same_size("albedo.png"))
-        level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / 255.0
-        albedo = np.where(arrays["mask"], level, np.nan)
+    grey_file, colour_file = folder / "albedo.png", folder / "colour.png"
+    if grey_file.is_file():
+        grey = read_image(grey_file, size_check(albedo.shape, str(file), str(grey_file)))
+        albedo = np.where(arrays["mask"], grey[..., 0] / np.float32(255), np.nan)
     colour = None
-    if (folder / "colour.png").is_file():
-        colours = read_image(folder / "colour.png", same_size("colour.png"))
+    if colour_file.is_file():
+        colours = read_image(colour_file, size_check(albedo.shape, str(file), str(colour_file)))
         require(
-            colours.shape == (*albedo.shape, 3) and colours.dtype == np.uint8,
-            f"{folder}: colour.png is not of the size of height.npz; {_AGAIN}.",
+            colours.shape[2] == 3 and colours.dtype == np.uint8,
+            f"{colour_file} is not a picture of 8 bits in colour; {_AGAIN}.",
         )
         colour = srgb_light(colours / np.float32(255))
     return Reconstruction(

@@ -264,9 +264,7 @@ def _onnxruntime() -> Any:
         f"the environment variable {NO_TELEMETRY}=1 before that import.",
     )
     os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
-    with importing(
-        "networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."
-    ):
+    with importing("networks need onnxruntime, which cannot be imported; pip install onnxruntime."):
         import onnxruntime  # type: ignore[import-untyped]
     return onnxruntime
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,76 +14,13 @@ from splitknit.findings import Finding
 from splitknit.imaging.geometry import bounding_box, wide_blur
 from splitknit.imaging.pixels import GREY_WEIGHTS
 from splitknit.model import Array, BoolArray, Films, FloatArray
-from splitknit.observation.light import FULL_SCALE, Light
+from splitknit.observation.light import Light
 
 NOT_SPECULAR = (
     "the crossed photographs are as bright as the parallel ones: were their folders exchanged, or"
     " did the camera change its exposure between the series?"
 )
 _ROWS = 64
-_FILMS_DEG = ((90, 45), (135, 0))
-"""Directions of the films on each 2 x 2 pixels of Sony's IMX250MZR and IMX250MYR. Source: data
-sheets of these sensors."""
-
-
-def split_mosaic(
-    mosaic: NDArray[Any], film_deg: float, *, colour: bool = False
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The parallel and the crossed image in one frame of a camera that has films on its pixels.
-
-    The light behind films of four directions gives its Stokes parameters, and they the light behind
-    a film of any direction: I(a) = (S0 + S1 cos 2a + S2 sin 2a) / 2. Light of each direction is
-    interpolated to the middle of its block of 2 x 2 pixels first: an edge would seem polarised
-    otherwise. Raises BadInput if the frame has several channels or sides that hold no whole blocks.
-    Source: E. Collett, "Field Guide to Polarization", 2005: Stokes parameters, Malus's law.
-    `mosaic`: (H, W) or (H, W, 1) uint8 or uint16, linear, blocks of 90, 45 / 135, 0 degrees (Sony
-    IMX250MZR); `film_deg`: direction of the film before the LEDs, as the camera states its own: 0
-    along the rows; `colour`: whether the blocks lie behind a Bayer pattern (red, green / green,
-    blue; Sony IMX250MYR). Returns (H / 2, W / 2, C) of the mosaic's type, the parallel image
-    clipped where one of a block's pixels is.
-
-    >>> import numpy as np
-    >>> tile = np.array([[200, 100], [100, 0]], np.uint8)  # polarised along 90 degrees
-    >>> mirrored = np.tile(tile, (4, 4))
-    >>> [int(image[2, 2, 0]) for image in split_mosaic(mirrored, film_deg=90.0)]
-    [200, 0]
-    """
-    rows, columns = mosaic.shape[:2]
-    block = 4 if colour else 2
-    require(
-        mosaic.size == rows * columns
-        and mosaic.dtype.kind == "u"
-        and rows % block == columns % block == 0,
-        f"a mosaic of films has one channel of integers and sides that are multiples of {block}"
-        f", but it is {mosaic.shape} {mosaic.dtype}.",
-    )
-    full = np.iinfo(mosaic.dtype).max
-    light = {}
-    clips = np.zeros((rows // 2, columns // 2), dtype=np.bool_)
-    for row, column in np.ndindex(2, 2):
-        part = np.ascontiguousarray(mosaic.reshape(rows, columns)[row::2, column::2])
-        clips |= part >= FULL_SCALE * full
-        if colour:
-            part = cv2.cvtColor(part, cv2.COLOR_BayerRGGB2RGB)
-        shift = np.array([[1, 0, 0.25 - 0.5 * column], [0, 1, 0.25 - 0.5 * row]])
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        light[_FILMS_DEG[row][column]] = cv2.warpAffine(
-            part.astype(np.float32),
-            shift,
-            part.shape[1::-1],
-            flags=flags,
-            borderMode=cv2.BORDER_REPLICATE,
-        ).reshape(rows // 2, columns // 2, -1)
-    # as far as light was interpolated
-    clips = cv2.dilate(clips.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    total = (light[0] + light[45] + light[90] + light[135]) / 2
-    angle = np.deg2rad(2 * film_deg)
-    part = (light[0] - light[90]) * np.float32(np.cos(angle)) + (
-        light[45] - light[135]
-    ) * np.float32(np.sin(angle))
-    parallel, crossed = (np.clip(np.rint((total + sign * part) / 2), 0, full) for sign in (1, -1))
-    parallel[clips] = full
-    return parallel.astype(mosaic.dtype), crossed.astype(mosaic.dtype)
 
 
 def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -224,17 +159,6 @@ def crossed_place(films: Films, shape: tuple[int, ...]) -> Array:
     x = (1.0 - scale) * ((shape[1] - 1) / 2) + films.shift_px[0]
     y = (1.0 - scale) * ((shape[0] - 1) / 2) + films.shift_px[1]
     return np.array([[scale, 0.0, x], [0.0, scale, y]])
-
-
-def undone(image: FloatArray, films: Films) -> FloatArray:
-    """A crossed image (h, w) or (h, w, C), of floats or as stored, resampled onto the parallel
-    one's pixels."""
-    matrix = crossed_place(films, image.shape)
-    size = (image.shape[1], image.shape[0])
-    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    return np.asarray(
-        cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    )
 
 
 def _lights(films: Films, groups: Sequence[Sequence[int]]) -> list[int]:

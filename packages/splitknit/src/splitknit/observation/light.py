@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -169,14 +170,11 @@ class Light:
     def at(self, binning: float = 1, window: Window | None = None) -> Light:
         """The light in blocks of `binning` pixels a side, inside a window of the camera's pixels;
         rows and columns that fill no block are dropped."""
-        where = self.window if window is None else window
-        crossed = None if self.crossed is None else self.crossed.at(binning, window)
-        return replace(self, binning=binning, window=where, crossed=crossed)
+        return self._both(binning=binning, window=window or self.window)
 
     def sampled(self, every: int) -> Light:
         """The light at every so many pixels of rows and columns."""
-        crossed = None if self.crossed is None else self.crossed.sampled(every)
-        return replace(self, every=every, crossed=crossed)
+        return self._both(every=every)
 
     def of_images(self, kept: Sequence[int]) -> Light:
         """The light of some of the photographs."""
@@ -202,13 +200,16 @@ class Light:
 
     def as_if_stored(self, encoding: str) -> Light:
         """The light as if the files had another encoding."""
-        crossed = None if self.crossed is None else self.crossed.as_if_stored(encoding)
-        return replace(self, encoding=encoding, crossed=crossed)
+        return self._both(encoding=encoding)
 
     def under(self, rig: Rig) -> Light:
         """The light as if it came from another rig with the same LEDs."""
-        crossed = None if self.crossed is None else self.crossed.under(rig)
-        return replace(self, built=rig, crossed=crossed)
+        return self._both(built=rig)
+
+    def _both(self, **changes: Any) -> Light:
+        """The light with changes that hold for its crossed series too."""
+        crossed = None if self.crossed is None else replace(self.crossed, **changes)
+        return replace(self, crossed=crossed, **changes)
 
     # The light.
 

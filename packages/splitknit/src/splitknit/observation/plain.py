@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,9 +18,9 @@ from splitknit.checks import check_lights, check_mask
 from splitknit.errors import naming, refusing, require
 from splitknit.files import AnyPath
 from splitknit.findings import Finding
-from splitknit.imaging.pixels import block_means, pick_channel
-from splitknit.io.content import check_contents, mask_from_image
-from splitknit.io.images import STACK_BYTES, SizeCheck
+from splitknit.imaging.pixels import pick_channel
+from splitknit.io.content import check_contents, mask_of_photo
+from splitknit.io.images import STACK_BYTES, SizeCheck, size_check
 from splitknit.io.light_list import read_intensities, read_light_list
 from splitknit.io.paging import chosen, new_stack
 from splitknit.io.photograph_files import (
@@ -52,23 +52,13 @@ from splitknit.model import (
     Rig,
     camera_without_scale,
 )
-from splitknit.observation.films import NOT_SPECULAR, split_mosaic
-from splitknit.observation.stored import coarse_flat, decode_table, linear_image, stored_values
-from splitknit.reconstruction import UNKNOWN_SCALE
+from splitknit.observation.films import NOT_SPECULAR
+from splitknit.observation.stored import coarse_flat, linear_image, stored_values
 from splitknit.settings import check_value
 
 _NO_CAMERA = Camera(1.0, (1, 1))
 """Stands for a camera that is not known. Source: definition."""
 _MASK_ALL = "all"  # in place of a mask: the object fills the photographs
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Photographs:
-    """Photographs as a capture, and what is to be known about how they became one."""
-
-    capture: Capture
-    notes: tuple[Finding, ...]
-    """What was assumed or done."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,8 +72,8 @@ class _Lights:
     camera_mm: Point | None = None  # the camera's centre, as a list of places states it
 
 
-def capture_from_photographs(photographs: GivenPhotographs) -> Photographs:
-    """Make a capture of a folder of photographs, one for each light.
+def capture_from_photographs(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
+    """Make a capture of a folder of photographs, one for each light; and what was assumed of them.
 
     Photographs of floats are brought to 16 bits by one factor. Raises BadInput if files are
     missing, damaged, of different sizes or turned differently by their EXIF data, their number is
@@ -135,13 +125,17 @@ def capture_from_photographs(photographs: GivenPhotographs) -> Photographs:
     capture, assumed = _assembled(files, crossed, known, photographs)
     if source.is_file():
         capture = replace(capture, hashes={**capture.hashes, source.name: file_hash(source)})
-    white = Photographs(capture, (*assumed, *notes))
-    return white if photographs.nir is None else _with_nir(white, photographs)
+    notes = [*assumed, *notes]
+    if photographs.nir is None:
+        return capture, notes
+    capture, of_nir = _with_nir(capture, photographs)
+    notes += [note.of_band("nir") for note in of_nir if note not in notes]
+    return capture, notes
 
 
-def _with_nir(white: Photographs, photographs: GivenPhotographs) -> Photographs:
-    """One capture of both bands; the mask is that of the white photographs."""
-    capture = white.capture
+def _with_nir(capture: Capture, photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
+    """The white capture with the near-infrared band, and what was assumed of that; the mask is that
+    of the white photographs."""
     folder = Path(photographs.nir or "")
     home = home_of(Path(photographs.images or ""))
     rig: Any = photographs.lights
@@ -153,17 +147,14 @@ def _with_nir(white: Photographs, photographs: GivenPhotographs) -> Photographs:
         f"white and near-infrared photographs lie in one folder, {home}, but have lights of their"
         " own: give them by a rig file, or put each series into a folder with its list.",
     )
-    encoding: Any = photographs.encoding
-    if encoding is None and photographs.max_megapixels is None:
-        encoding = capture.encoding
     lights = _of_band(rig, "nir", "the rig") if has_rig else None
+    encoding: Any = capture.encoding if photographs.encoding is None else photographs.encoding
     near = replace(
         photographs, images=folder, lights=lights, nir=None, crossed=None, flat=None, mask=None
     )
-    infrared = capture_from_photographs(replace(near, encoding=encoding))
+    infrared, notes = capture_from_photographs(replace(near, encoding=encoding))
     kinds = [
-        f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}"
-        for each in (infrared.capture, capture)
+        f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}" for each in (infrared, capture)
     ]
     require(
         kinds[0] == kinds[1],
@@ -171,19 +162,18 @@ def _with_nir(white: Photographs, photographs: GivenPhotographs) -> Photographs:
         "; both must agree (`encoding`).",
     )
     count = len(capture.rig.leds)
-    leds = [replace(led, band="nir") for led in infrared.capture.rig.leds]
+    leds = [replace(led, band="nir") for led in infrared.rig.leds]
     both = replace(capture.rig, leds=(*capture.rig.leds, *leds))
     groups = tuple((count + k,) for k in range(len(leds)))
-    band = replace(infrared.capture.bands["white"], name="nir", leds=groups)
-    hashes = {f"nir/{name}": value for name, value in infrared.capture.hashes.items()}
+    band = replace(infrared.bands["white"], name="nir", leds=groups)
+    hashes = {f"nir/{name}": value for name, value in infrared.hashes.items()}
     capture = replace(
         capture,
         rig=both,
         bands={**capture.bands, "nir": band},
         hashes={**capture.hashes, **hashes},
     )
-    notes = [note if note in white.notes else note.of_band("nir") for note in infrared.notes]
-    return Photographs(capture, tuple(dict.fromkeys([*white.notes, *notes])))
+    return capture, notes
 
 
 def _lights_of(folder: Path, lights: Any) -> _Lights:
@@ -369,71 +359,72 @@ def _assembled(
     rig = lights.rig
     count = len(files)
     require(count >= 3, f"at least three images are needed, but there are {count}.")
-    different = _each_once([*files, *crossed], photographs)
-    raw = next((file.name for file in different if file.suffix.lower() in RAW_SUFFIXES), None)
-    linear = raw is None or photographs.encoding != "srgb"
-    require(linear, f"{raw} is camera RAW, whose light is linear.")
+    different = _each_once([*files, *crossed])
     check_lights(rig.light_vectors())
-    rig, encoding, notes = _encoding(files, rig, photographs)
-    first = _series_of(different[0], photographs)
-    form = _form_of(different[0], first[0], encoding, photographs.max_megapixels)
-    if lights.colours is not None and len(different) > 1 and form.shape[2] == 3:
-        form = replace(form, gains=_gains(lights.colours))
-        others = (photographs.background, photographs.crossed, photographs.mosaic, photographs.flat)
+    rig, encoding, notes = _encoding(different, rig, photographs)
+    first = read_photo(different[0])
+    rows, columns, channels = first.pixels.shape
+    gains = None
+    if lights.colours is not None and len(different) > 1 and channels == 3:
+        gains = _gains(lights.colours)
+        others = (photographs.background, photographs.crossed, photographs.flat)
         require(
             all(value is None for value in others),
-            "lights with a brightness for each colour go without `background`, `crossed`,"
-            " `mosaic`, `flat`.",
+            "lights with a brightness for each colour go without `background`, `crossed`, `flat`.",
         )
-    camera = _camera_of(rig.camera, form, photographs.px_per_mm, lights.camera_mm)
+    camera = _camera_of(rig.camera, (rows, columns), photographs.px_per_mm, lights.camera_mm)
     require(
         camera.scale_known or all(led.position_mm is None for led in rig.leds),
         "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions"
         " of the lights.",
     )
-    read = _read_stack(different, form, first, photographs)
-    hashes = read.hashes
-    pixels = read.pixels
+    pixels, inside, hashes = _read_stack(different, first, encoding, gains)
+    if gains is not None and first.pixels.dtype.kind == "u":
+        encoding = "linear"
     if len(pixels) == 1:  # three coloured lights at once: one channel for each
         require(
-            pixels.shape[3] == 3,
-            f"{form.name} is grey; one photograph under three lights at once must be in colour.",
+            channels == 3,
+            f"{different[0]} is grey; one photograph under three lights at once must be in colour.",
         )
         pixels = np.ascontiguousarray(np.moveaxis(pixels[0], -1, 0)[..., None])
-    ambient, black = _without_light(photographs, form, hashes)
-    if form.dtype.kind == "f":
+    check = partial(size_check, (rows, columns), str(different[0]))
+    ambient, black = _without_light(photographs, first, check, hashes)
+    if pixels.dtype.kind == "f":
         pixels, ambient, black = _as_integers(pixels, ambient, black)
-    inside, note = _mask_of(photographs.mask, form, read)
-    notes += note
-    flat = None
-    if photographs.flat is not None:
-        light, flat_hashes = read_flat(Path(photographs.flat), count, encoding)
-        hashes |= flat_hashes
-        flat = stored_values(light, form.encoding_after)
+    inside, of_mask = _mask_of(photographs.mask, inside, (rows, columns), check, hashes)
+    notes += of_mask
+    series = [pixels]
+    if crossed:
+        series = [chosen(pixels, range(count)), chosen(pixels, range(count, 2 * count))]
     band = replace(
-        _white_band(chosen(pixels, range(count)), black),
+        _white_band(series[0], black),
         ambient=None if ambient is None else Ambient(ambient),
-        flat=flat,
         files=tuple(map(str, files)),
     )
+    if photographs.flat is not None:
+        light, of_flat = read_flat(Path(photographs.flat), count, encoding)
+        hashes |= of_flat
+        band = replace(band, flat=stored_values(light, encoding))
     bands = {"white": band}
-    if len(pixels) > count:
-        names = tuple(map(str, crossed or files))
-        bands = _polarised(
-            band, replace(band, pixels=chosen(pixels, range(count, 2 * count)), files=names)
-        )
-        means = [
-            np.mean([image[::8, ::8].mean(dtype=np.float64) for image in each.pixels])
-            for each in bands.values()
-        ]
-        notes += [Finding("not-specular", NOT_SPECULAR)] if means[1] >= means[0] else []
+    if crossed:
+        second = replace(band, pixels=series[1], files=tuple(map(str, crossed)))
+        bands = {
+            "white": replace(band, polarisation="parallel"),
+            "white_crossed": replace(second, name="white_crossed", polarisation="crossed"),
+        }
+        notes += _findings_on_brightness(*series)
     check_contents(bands.values())
-    notes += _notes_on(form, camera, first[0].orientation)
+    if first.orientation != 1:
+        words = (
+            f"photographs are turned as their EXIF data say (orientation {first.orientation});"
+            " lights are for them upright."
+        )
+        notes.append(Finding("turned-photographs", words))
     material = "opaque" if photographs.nir is None else "skin"  # by near-infrared light a finger
     capture = Capture(
         rig=replace(rig, camera=camera),
         bands=bands,
-        encoding=form.encoding_after,
+        encoding=encoding,
         material=photographs.material or material,
         tip_direction_deg=photographs.tip_direction_deg,
         mask=inside,
@@ -442,59 +433,72 @@ def _assembled(
     return capture, notes
 
 
+def _findings_on_brightness(parallel: PixelArray, crossed: PixelArray) -> list[Finding]:
+    """A note where the crossed series is as bright as the parallel one."""
+    means = [
+        np.mean([image[::8, ::8].mean(dtype=np.float64) for image in series])
+        for series in (parallel, crossed)
+    ]
+    return [Finding("not-specular", NOT_SPECULAR)] if means[1] >= means[0] else []
+
+
+def _mask_of(
+    mask: AnyPath | None,
+    opaque: BoolArray | None,
+    size: tuple[int, int],
+    check: Callable[[str], SizeCheck],
+    hashes: dict[str, str],
+) -> tuple[BoolArray | None, list[Finding]]:
+    """Mask (H, W) of a file, whose SHA-256 joins the others, of the word ``all``, or what is
+    `opaque` in the photographs; and a note where it was found in a picture's transparency."""
+    if mask is not None and os.fspath(mask) == _MASK_ALL:
+        return np.ones(size, dtype=np.bool_), []
+    name = "the photographs"
+    transparent = opaque is not None
+    if mask is not None:
+        name = os.fspath(mask)
+        photo = read_photo(mask, check(name))
+        hashes[Path(mask).name] = photo.sha256
+        opaque = mask_of_photo(photo, name)
+        transparent = photo.opaque is not None
+    require(opaque is None or opaque.any(), f"{name} are transparent everywhere; give a `mask`.")
+    words = f"the mask is what is not transparent in {name}."
+    return opaque, [Finding("assumed-mask", words)] if transparent else []
+
+
 def _without_light(
-    photographs: GivenPhotographs, form: _Form, hashes: dict[str, str]
+    photographs: GivenPhotographs,
+    first: Photo,
+    check: Callable[[str], SizeCheck],
+    hashes: dict[str, str],
 ) -> tuple[NDArray[Any] | None, float]:
-    """The background's photograph, whose SHA-256 joins the others, or its value; once reduced."""
+    """The background's photograph, whose SHA-256 joins the others, or its value."""
     if photographs.background is None:
         return None, 0.0
+    kind = first.pixels.dtype
     if photographs.background_image is None:
-        return None, form.level(float(photographs.background))  # type: ignore[arg-type]
-    file = Path(photographs.background_image)
-    photo = read_photo(file, form.check(file))
+        value = float(photographs.background)  # type: ignore[arg-type]
+        if kind.kind == "u":
+            top = int(np.iinfo(kind).max)
+            require(
+                0 <= value < top,
+                f"the background must lie between 0 and {top}, but it is {value:g}.",
+            )
+        return None, value
+    file = os.fspath(photographs.background_image)
+    photo = read_photo(file, check(file))
     require(
-        photo.pixels.dtype.kind == form.dtype.kind,
+        photo.pixels.dtype.kind == kind.kind,
         "the background image is of floats and the photographs are not, or the reverse; save both"
         " in one format.",
     )
-    hashes[file.name] = photo.sha256
-    return form.reduced(photo.pixels, file), 0.0
+    hashes[Path(file).name] = photo.sha256
+    return photo.pixels, 0.0
 
 
-def _notes_on(form: _Form, camera: Camera, orientation: int) -> Iterator[Finding]:
-    """What was done to the photographs."""
-    if form.factor > 1:
-        rows, columns = form.small
-        yield Finding(
-            "reduced-photographs",
-            f"the photographs of {form.megapixels:.3g} megapixels were reduced to"
-            f" {rows * columns / 1e6:.3g} (`max_megapixels`), by means over {form.factor:g} x"
-            f" {form.factor:g} pixels.",
-        )
-    if not camera.scale_known:
-        yield Finding("scale-unknown", UNKNOWN_SCALE)
-    if orientation != 1:
-        yield Finding(
-            "turned-photographs",
-            f"photographs are turned as their EXIF data say (orientation {orientation}); lights are"
-            " for them upright.",
-        )
-
-
-def _polarised(parallel: Band, crossed: Band) -> dict[str, Band]:
-    return {
-        "white": replace(parallel, polarisation="parallel"),
-        "white_crossed": replace(crossed, name="white_crossed", polarisation="crossed"),
-    }
-
-
-def _each_once(files: Sequence[Path], photographs: GivenPhotographs) -> Sequence[Path]:
+def _each_once(files: Sequence[Path]) -> Sequence[Path]:
     """The files; the one file of three coloured lights once. BadInput if others are named twice."""
     if len(set(files)) == 1:
-        require(
-            photographs.mosaic is None,
-            f"{files[0]}, one photograph under three lights, goes without `mosaic`.",
-        )
         return files[:1]
     places: set[str] = set()
     for file in files:
@@ -509,10 +513,11 @@ def _encoding(
 ) -> tuple[Rig, str, list[Finding]]:
     """The encoding that is stated, or by :func:`splitknit.io.photos.encoding_of`; and notes. What
     is calibrated by `flat` is an industrial camera's, and linear."""
-    if photographs.mosaic is not None:
-        return rig, "linear", []
-    if photographs.encoding is not None:
-        return rig, photographs.encoding, []
+    stated = photographs.encoding
+    raw = next((file.name for file in files if file.suffix.lower() in RAW_SUFFIXES), None)
+    require(raw is None or stated != "srgb", f"{raw} is camera RAW, whose light is linear.")
+    if stated is not None:
+        return rig, stated, []
     encoding, note = encoding_of(files, "srgb" if photographs.flat is None else "linear")
     if encoding == "srgb" and not stated_encoding(files[0]):
         rig = _of_assumed_encoding(rig)
@@ -524,202 +529,62 @@ def _of_assumed_encoding(rig: Rig) -> Rig:
     return replace(rig, provenance={**rig.provenance, "encoding": "assumed"})
 
 
-def _check_like(
-    shape: tuple[int, ...], like: Path, file: str | os.PathLike[str], rows: int, columns: int
-) -> None:
-    """Refuse a file of another size than `shape`, that of `like`."""
-    require(
-        (rows, columns) == shape[:2],
-        f"{file} has {rows} x {columns} pixels (rows x columns), but {shape[0]} x {shape[1]} are"
-        f" expected by {like}.",
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Form:
-    """What photographs must agree in, and how they are reduced."""
-
-    name: Path  # of the first
-    shape: tuple[int, ...]  # (H, W, C)
-    dtype: np.dtype[Any]
-    encoding: str
-    factor: float  # pixels a side that become one
-    gains: FloatArray | None = None  # (L, 3) of colours that lights have more of than others
-
-    @property
-    def small(self) -> tuple[int, int]:
-        """Rows, columns once reduced."""
-        return int(self.shape[0] // self.factor), int(self.shape[1] // self.factor)
-
-    @property
-    def megapixels(self) -> float:
-        return self.shape[0] * self.shape[1] / 1e6
-
-    @property
-    def as_stored(self) -> bool:
-        """Whether photographs are kept as they are."""
-        return self.factor == 1 and self.gains is None
-
-    @property
-    def encoding_after(self) -> str:
-        means = self.dtype.kind == "f" and self.gains is None
-        return self.encoding if self.as_stored or means else "linear"
-
-    def level(self, stored: float) -> float:
-        """A stored value once reduced."""
-        if self.dtype.kind == "f":
-            return stored
-        table = decode_table(self.dtype, self.encoding)
-        top = table.size - 1
-        require(
-            0 <= stored < top,
-            f"the background must lie between 0 and {top}, but it is {stored:g}.",
-        )
-        if self.as_stored:
-            return stored
-        return 65535.0 * float(np.interp(stored, np.arange(table.size), table))
-
-    def check(self, file: str | os.PathLike[str]) -> SizeCheck:
-        """What raises BadInput for another size of the photograph, or of a mask."""
-        return partial(_check_like, self.shape, self.name, file)
-
-    def reduced(self, pixels: NDArray[Any], file: Path, k: int | None = None) -> NDArray[Any]:
-        """Pixels (H, W, C) of photograph `k`, or of a mask or background, once reduced."""
-        self.check(file)(*pixels.shape[:2])
-        if self.as_stored:
-            return pixels
-        gains = 1.0 if k is None or self.gains is None else self.gains[k]
-        return _evened(pixels, gains, self.encoding, self.factor)
-
-
 def _gains(colours: Array) -> FloatArray:
     """Factors that bring lights with these `colours` (L, 3) to one, 1 at most."""
     return np.asarray(colours.min() / colours, dtype=np.float32)
 
 
-def _evened(
-    image: NDArray[Any], gains: FloatArray | float, encoding: str, factor: float = 1.0
-) -> NDArray[Any]:
-    """Means of a photograph (H, W, C) over blocks, times `gains`: integers as 16 bits of linear
-    light, clipping kept; floats as they are."""
+def _evened(image: NDArray[Any], gains: FloatArray, encoding: str) -> NDArray[Any]:
+    """A photograph (H, W, C) times `gains`: integers as 16 bits of linear light, clipping kept;
+    floats as they are."""
     if image.dtype.kind == "f":
-        shape = int(image.shape[0] // factor), int(image.shape[1] // factor)
-        return np.asarray(block_means(image, shape, factor).reshape(*shape, -1) * gains)
-    light = linear_image(image, encoding, binning=factor)
+        return image * gains
+    light = linear_image(image, encoding)
     clipped = light > 1 - 1e-5
     return np.where(clipped, 65535, np.rint(65535.0 * light * gains)).astype(np.uint16)
 
 
-def _form_of(file: Path, photo: Photo, encoding: str, max_megapixels: float | None) -> _Form:
-    """The form of the first photograph; sides become smaller by eighths, as
-    :func:`splitknit.observation.stored.linear_image` takes them.
-    """
-    form = _Form(file, photo.pixels.shape, photo.pixels.dtype, encoding, 1.0)
-    if max_megapixels is None:
-        return form
-    factor = math.ceil(8.0 * math.sqrt(form.megapixels / max_megapixels)) / 8.0
-    form = replace(form, factor=max(1.0, factor))
-    large = form.factor == 1 or min(form.small) >= 16
-    require(large, "`max_megapixels` leaves less than 16 pixels a side; give more.")
-    return form
-
-
-def _series_of(
-    file: Path, photographs: GivenPhotographs, check: SizeCheck | None = None
-) -> list[Photo]:
-    """The photograph of a file; of a mosaic the parallel and the crossed one, with half the pixels
-    a side."""
-    if photographs.mosaic is None:
-        return [read_photo(file, check)]
-    photo = read_photo(file)
-    colour = photographs.mosaic == "colour"
-    split = partial(split_mosaic, photo.pixels, photographs.film_deg, colour=colour)
-    return [replace(photo, pixels=half, opaque=None) for half in naming(file, split)]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stack:
-    """Photographs as they were read."""
-
-    pixels: NDArray[Any]  # (L, h, w, C); of mosaics the crossed ones behind the parallel ones
-    first: Photo
-    opaque: BoolArray | None  # (H, W) what is transparent in none; None where all is opaque
-    hashes: dict[str, str]
-
-
 def _read_stack(
-    files: Sequence[Path], form: _Form, first: list[Photo], photographs: GivenPhotographs
-) -> _Stack:
-    """Read all photographs; `first`: those of the first file."""
-    like = form.reduced(first[0].pixels, files[0], 0)
-    shape = (len(first) * len(files), *like.shape)
+    files: Sequence[Path], first: Photo, encoding: str, gains: FloatArray | None
+) -> tuple[NDArray[Any], BoolArray | None, dict[str, str]]:
+    """Read all photographs (L, H, W, C), times the `gains` of their colours; what is transparent in
+    none (H, W), None where all is opaque; and their SHA-256. `first`: that of the first file."""
+    size = (first.pixels.shape[0], first.pixels.shape[1])
+    shape = (len(files), *first.pixels.shape)
+    dtype = first.pixels.dtype
+    if gains is not None and dtype.kind == "u":
+        dtype = np.dtype(np.uint16)
     require(
-        math.prod(shape) * like.itemsize <= STACK_BYTES,
+        math.prod(shape) * dtype.itemsize <= STACK_BYTES,
         f"{files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB"
-        "; name fewer, or reduce them by `max_megapixels`.",
+        "; name fewer, or make them smaller.",
     )
-    stack = new_stack(shape, like.dtype)
+    stack = new_stack(shape, dtype)
     opaque = None
     hashes: dict[str, str] = {}
-    turn = first[0].orientation
     for k, file in enumerate(files):
-        series = _series_of(file, photographs, form.check(file)) if k else first
-        photo = series[0]
+        photo = first
+        if k > 0:
+            photo = read_photo(file, size_check(size, str(files[0]), str(file)))
         require(
-            photo.orientation == turn,
+            photo.orientation == first.orientation,
             f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than "
-            f"{files[0].name} ({turn}), as a telephone that looks straight down guesses it; give "
-            "all one orientation.",
+            f"{files[0].name} ({first.orientation}), as a telephone that looks straight down"
+            " guesses it; give all one orientation.",
         )
-        for part, each in enumerate(series):
-            pixels = form.reduced(each.pixels, file, k)
-            kinds = [_kind(each.pixels), _kind(first[0].pixels)]
-            words = f"{file} is {kinds[0]}, but {files[0]} is {kinds[1]}; all must agree."
-            require(kinds[0] == kinds[1], words)
-            stack[k + part * len(files)] = pixels
+        kinds = [_kind(photo.pixels), _kind(first.pixels)]
+        words = f"{file} is {kinds[0]}, but {files[0]} is {kinds[1]}; all must agree."
+        require(kinds[0] == kinds[1], words)
+        stack[k] = photo.pixels if gains is None else _evened(photo.pixels, gains[k], encoding)
         if photo.opaque is not None:
             opaque = photo.opaque if opaque is None else opaque & photo.opaque
         name = file.name if file.name not in hashes else f"{file.parent.name}/{file.name}"
         hashes[name] = photo.sha256
-    return _Stack(stack, first[0], opaque, hashes)
+    return stack, opaque, hashes
 
 
 def _kind(pixels: NDArray[Any]) -> str:
     return f"{'RGB' if pixels.shape[2] == 3 else 'grey'} of {pixels.dtype}"
-
-
-def _mask_of(
-    mask: AnyPath | None, form: _Form, read: _Stack
-) -> tuple[BoolArray | None, list[Finding]]:
-    """Mask (h, w) of a file, of the word ``all``, or of the photographs' own transparency, None
-    without any; and a note where it was found in a picture. The file's SHA-256 joins the others.
-    """
-    if mask is not None and os.fspath(mask) == _MASK_ALL:
-        return np.ones(form.small, dtype=np.bool_), []
-    if mask is None:
-        if read.opaque is None:
-            return None, []
-        name = "the photographs"
-        photo = replace(read.first, opaque=read.opaque)
-    else:
-        name = os.fspath(mask)
-        photo = read_photo(mask, form.check(mask))
-        read.hashes[Path(mask).name] = photo.sha256
-    pixels = photo.pixels
-    notes = []
-    if photo.opaque is not None:
-        pixels = _black_and_white(photo.opaque)
-        words = f"the mask is what is not transparent in {name}."
-        notes = [Finding("assumed-mask", words)]
-    elif pixels.dtype.kind == "f":
-        pixels = np.rint(255.0 * np.clip(pixels, 0.0, 1.0)).astype(np.uint8)
-    white = _black_and_white(mask_from_image(pixels, name))
-    return mask_from_image(form.reduced(white, Path(name)), name), notes
-
-
-def _black_and_white(mask: BoolArray) -> NDArray[np.uint8]:
-    """A mask as an image (H, W, 1)."""
-    return mask[..., None].astype(np.uint8) * np.uint8(255)
 
 
 def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict[str, str]]:
@@ -757,37 +622,28 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
 
 
 def _camera_of(
-    camera: Camera, form: _Form, px_per_mm: float | None, centre_mm: Point | None
+    camera: Camera, size: tuple[int, int], px_per_mm: float | None, centre_mm: Point | None
 ) -> Camera:
     """The rig's camera, or one of the stated scale, with parallel rays or with rays through a
-    `centre_mm`, for the photographs once reduced."""
-    factor = form.factor
+    `centre_mm`, for photographs of `size`."""
     stated = None if px_per_mm is None else float(px_per_mm)
     if camera is _NO_CAMERA:
         if stated is None:
-            return camera_without_scale(form.small)
-        parallel = Camera(stated / factor, form.small)
+            return camera_without_scale(size)
+        parallel = Camera(stated, size)
         return parallel if centre_mm is None else _looking_down(parallel, centre_mm)
     rows, columns = camera.image_size
     require(
-        (rows, columns) == form.shape[:2],
+        (rows, columns) == size,
         f"the rig's camera takes images of {rows} x {columns} pixels (rows x columns), but the "
-        f"photographs have {form.shape[0]} x {form.shape[1]}; give `lights` a list of lights "
-        "instead.",
+        f"photographs have {size[0]} x {size[1]}; give `lights` a list of lights instead.",
     )
     require(
         stated is None or not camera.scale_known,
         f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out"
         " the first.",
     )
-    if stated is None and not camera.scale_known:
-        return camera_without_scale(form.small)
-    matrix = camera.matrix
-    if matrix is not None and factor > 1:
-        middle = 0.5 - factor / 2  # the middle of the first pixel is 0
-        matrix = np.array([[1, 0, middle], [0, 1, middle], [0, 0, factor]]) @ matrix / factor
-    scale = (camera.px_per_mm if stated is None else stated) / factor
-    return replace(camera, image_size=form.small, px_per_mm=scale, scale_known=True, matrix=matrix)
+    return camera if stated is None else replace(camera, px_per_mm=stated, scale_known=True)
 
 
 def _looking_down(camera: Camera, centre_mm: Point) -> Camera:

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -31,15 +30,9 @@ from splitknit.io.pictures import (
 )
 from splitknit.model import BoolArray, FloatArray
 from splitknit.observation.films import picture_bytes
-from splitknit.reconstruction import Reconstruction
+from splitknit.reconstruction import Comparison, Reconstruction
 from splitknit.report.photos import Picture, captioned, colour_bar, is_finger, round_step
 from splitknit.units import MILLIMETRES
-
-if TYPE_CHECKING:
-    from splitknit.accuracy import Comparison
-
-
-Truth = Mapping[str, NDArray[Any]]  # a simulator's arrays
 
 
 @dataclass(frozen=True, slots=True, eq=False)

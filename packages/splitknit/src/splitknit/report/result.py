@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,14 +36,10 @@ from splitknit.io.results import (
 )
 from splitknit.model import FloatArray
 from splitknit.observation.films import picture_bytes
-from splitknit.reconstruction import Reconstruction
+from splitknit.reconstruction import Comparison, Reconstruction
 from splitknit.report import figures, template
-from splitknit.report.figures import Truth
 from splitknit.report.photos import LONGEST_PX, captioned, capture_pictures, is_finger
 from splitknit.report.surface import scene_of
-
-if TYPE_CHECKING:
-    from splitknit.accuracy import Comparison
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +63,14 @@ class Report:
 def make_report(
     result: Reconstruction,
     capture: Capture | None,
-    truth: Truth | None = None,
+    comparisons: Sequence[Comparison] = (),
     others: Sequence[Reconstruction] = (),
     title: str = "",
 ) -> Report:
     """Build the report of `result`; its pictures are drawn side by side, in threads. `capture`:
-    what it was made from, whose previews enter the page; `truth`: a simulator's arrays, with which
-    `result` and `others`, of the same capture by other presets, are compared; `title`: by default
-    "3D fingerprint", or "Surface" of what is not a finger.
+    what it was made from, whose previews enter the page; `comparisons`: with a simulator's truth,
+    of `result` and of `others`, of the same capture by other presets; `title`: by default "3D
+    fingerprint", or "Surface" of what is not a finger.
     """
     finger = is_finger(result)
     results = (result, *others)
@@ -88,11 +84,6 @@ def make_report(
         surfaces = pool.submit(scene_of, shown, f"{result.preset}: drag to turn, wheel to zoom")
         photographs = pool.submit(capture_pictures, result, capture)
         fields = [pool.submit(draw, shown, small) for draw in figures.FIELD_PICTURES]
-        comparisons: list[Comparison] = []
-        if truth is not None:
-            from splitknit.accuracy import compare  # only what was simulated has a truth
-
-            comparisons = [compare(each, truth) for each in results]
         facts = _facts(result, capture, comparisons)
         maps = [picture for job in fields if (picture := job.result()) is not None]
         prints = None if printing is None else printing.result()
@@ -234,15 +225,15 @@ def write_results(
     result: Reconstruction,
     capture: Capture | None,
     folder: AnyPath,
-    truth: Truth | None = None,
+    comparisons: Sequence[Comparison] = (),
 ) -> dict[str, Any]:
     """Write all files of a reconstruction into `folder`, which appears complete or not at all, in
     place of an earlier result; return the facts of ``report.json``. The report shows the
-    photographs of `capture`, and compares with `truth`, a simulator's arrays. Raises BadInput if
-    the folder holds files of others or cannot be written.
+    photographs of `capture`, and the comparison with a simulator's truth. Raises BadInput if the
+    folder holds files of others or cannot be written.
     """
     with atomic_folder(folder) as target:
-        return write_files(result, capture, target, truth)
+        return write_files(result, capture, target, comparisons)
 
 
 def write_steps(
@@ -270,7 +261,7 @@ def write_files(
     result: Reconstruction,
     capture: Capture | None,
     target: Path,
-    truth: Truth | None = None,
+    comparisons: Sequence[Comparison] = (),
     step_files: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Write the files of :func:`write_results` into a folder where `step_files` lie."""
@@ -302,7 +293,7 @@ def write_files(
             pool.submit(write_float_tiff, target / "height.tiff", heights, unit, origin, pitch),
             *(pool.submit(write, name) for name in pictures),
         ]
-        report = make_report(result, capture, truth)
+        report = make_report(result, capture, comparisons)
         if report.prints is not None:
             write_print_png(
                 target / "print.png", report.prints, PRINT_PPI, provenance_texts(origin)

@@ -3,9 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import splitknit
+import splitknit_simulator
 from handmade import finger
-from splitknit.accuracy import compare, high_passed
 from splitknit.errors import BadInput
+from splitknit.folders import reconstruct_to_folder
+from splitknit.imaging.geometry import high_passed
+from splitknit_simulator.accuracy import compare
 
 
 def test_a_result_equal_to_its_truth_has_no_error():
@@ -109,3 +113,16 @@ def test_high_pass_keeps_ridges_and_drops_slopes():
     ridges = np.sin(2 * np.pi * x / 10).astype(np.float32)
     kept = high_passed(ridges + 0.05 * x, np.ones(x.shape, bool), 8.0)
     assert np.abs(kept[:, 40:-40] - ridges[:, 40:-40]).max() < 0.01
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_a_simulated_capture_is_compared_where_the_simulator_is_installed(
+    tmp_path, monkeypatch, *, installed
+):
+    simulated, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.06})
+    splitknit.write_capture(simulated, tmp_path / "capture", truth)
+    if not installed:
+        monkeypatch.setattr("splitknit.folders.registered", lambda _: {})
+    done = reconstruct_to_folder(tmp_path / "capture", out=tmp_path / "out", preset="ea")
+    assert set(done.facts["comparison"]) == ({"ea"} if installed else set())
+    assert ("Against the truth (ea): surface rms" in str(done)) == installed

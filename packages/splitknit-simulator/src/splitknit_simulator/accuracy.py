@@ -20,7 +20,6 @@ Definitions (the same for every preset and for the validation):
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -29,19 +28,20 @@ from numpy.typing import NDArray
 
 from splitknit.capture import Capture
 from splitknit.errors import BadInput, require
-from splitknit.imaging.geometry import bounding_box, height_gradients, smoothed
+from splitknit.imaging.geometry import (
+    BAND_SIGMA_MM,
+    EROSION_MM,
+    bounding_box,
+    eroded,
+    height_gradients,
+    high_passed,
+)
 from splitknit.io.npz import read_npz
 from splitknit.model import BoolArray, FloatArray
-from splitknit.reconstruction import Reconstruction
+from splitknit.reconstruction import Comparison, Reconstruction
 
 TRUTH_ARRAYS = ("height_mm", "shape_mm", "mask", "normals")
 """What is compared."""
-EROSION_MM = 0.33
-"""Distance from the edge of the common mask from which on pixels count. Source: definition of the
-figures (docs/experiments/accuracy.md)."""
-BAND_SIGMA_MM = 0.32
-"""Standard deviation of the Gaussian whose complement is the ridge band. Source: definition of the
-figures (docs/experiments/accuracy.md)."""
 MAX_SLANT_DEG = 60.0
 """Largest slant of the true shape at which the ridge band counts. Source: definition of the figures
 (docs/experiments/accuracy.md)."""
@@ -51,27 +51,6 @@ WINDOW_MM = 0.86
 GOOD_CORRELATION = 0.8
 """Local correlation from which on ridges count as recovered. Source: definition of the figures
 (docs/experiments/accuracy.md)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """What a reconstruction got right."""
-
-    preset: str
-    figures: Mapping[str, float]
-    """``surface_rms_mm``, ``shape_rms_mm``, ``normals_mean_deg``, ``ridge_correlation``,
-    ``ridge_gain``, ``ridge_rms_um``, ``ridge_truth_std_um``, ``ridge_good_area``, the same for the
-    whole height (``height_band_*``), ``mask_on_finger`` (fraction of the mask on the true finger),
-    ``mask_overlap`` (intersection over union; the true mask goes on below the crease) and
-    ``ridge_area_mm2``."""
-    height_error_mm: FloatArray
-    """(H, W) estimate minus truth, mean removed, NaN outside the common mask."""
-    ridge_error_um: FloatArray
-    """(H, W) estimated minus true ridge band, NaN outside the common mask."""
-    surface: BoolArray
-    """(H, W) where the surface's figures count."""
-    band: BoolArray
-    """(H, W) where the ridge band's figures count."""
 
 
 def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Comparison:
@@ -99,7 +78,8 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     >>> import splitknit
     >>> import splitknit_simulator
     >>> capture, truth = splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})
-    >>> splitknit.compare(splitknit.reconstruct(capture, "ea"), truth).figures["surface_rms_mm"] < 2
+    >>> result = splitknit.reconstruct(capture, "ea")
+    >>> splitknit_simulator.compare(result, truth).figures["surface_rms_mm"] < 2
     True
     """
     for name in ("height_mm", "shape_mm", "mask"):
@@ -172,11 +152,6 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     )
 
 
-def high_passed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
-    """Values (H, W) minus their Gaussian mean over the mask; zero outside it."""
-    return np.where(mask, values - smoothed(values, mask, sigma_px), 0.0)
-
-
 def _local_correlation(
     first: FloatArray, second: FloatArray, where: BoolArray, window_px: int
 ) -> FloatArray:
@@ -214,19 +189,18 @@ def _band_figures(
     }
 
 
-def eroded(mask: BoolArray, distance_px: float) -> BoolArray:
-    """Pixels of `mask` (H, W) further than a distance from its edge; the image's border is one."""
-    padded = np.pad(mask, 1).astype(np.uint8)
-    distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    return distance > distance_px
-
-
 def _centred(error: FloatArray, where: BoolArray) -> FloatArray:
     return (error - np.float32(np.mean(error[where], dtype=np.float64))).astype(np.float32)
 
 
 def _rms(values: NDArray[Any]) -> float:
     return float(np.sqrt(np.mean(np.square(values.astype(np.float64)))))
+
+
+def compare_with_own(result: Reconstruction, capture: Capture) -> Comparison:
+    """Measure a reconstruction against the truth that its capture names; what `reconstruct` asks
+    for."""
+    return compare(result, read_truth(capture))
 
 
 def read_truth(capture: Capture) -> dict[str, Any]:
