@@ -8,7 +8,7 @@ fingerprint matching algorithm using phase-only correlation (band limit, rotatio
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import Array, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid, spectrum_of
 from splitknit_match.matching.ridge_band import RidgeBand
+from splitknit_match.threads import made_once
 
 Spectra = NDArray[np.complex64]
 
@@ -73,7 +74,7 @@ class CoarseViews:
             self._ridges[number] = self._ridge_view(_angle_deg(number))
         return self._ridges[number]
 
-    @cached_property
+    @made_once
     def poses(self) -> FloatArray:
         """(2, A, side, side) ridges and where there are any, turned by the steps of a small
         print."""
@@ -81,13 +82,13 @@ class CoarseViews:
         angles = np.deg2rad(_POSE_STEP_DEG) * np.arange(round(360 / _POSE_STEP_DEG))
         return self._pictures(angles, (side, side))
 
-    @cached_property
+    @made_once
     def upright(self) -> FloatArray:
         """(2, rows, columns) the same without rotation."""
         rows, columns = (int(np.ceil(side / self._step)) for side in self.band.valid.shape)
         return self._pictures(np.zeros(1), (rows, columns))[:, 0]
 
-    @cached_property
+    @made_once
     def _soft(self) -> FloatArray:
         """The band with less of what the coarse grid cannot hold."""
         return gaussian_mean(self.band.value, 0.4 * _COARSE_PITCH_MM / self.band.pitch_mm)
@@ -102,7 +103,7 @@ class CoarseViews:
             [[_turned(part, angle, self._step, size) for angle in angles_rad] for part in pictures]
         )
 
-    @cached_property
+    @made_once
     def directions(self) -> Spectra:
         """Spectra (3, A, rows, columns // 2 + 1) of blocks, turned by the steps of half a turn.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from splitknit_match.matching.elastic import (
 from splitknit_match.matching.minutia_pairs import Cylinders, Places, minutia_cylinders
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.matching.template import Template, pack
+from splitknit_match.threads import made_once
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,48 +60,48 @@ class Prepared:
 
     template: Template
 
-    @cached_property
+    @made_once
     def key(self) -> bytes:
         """By which sides are ordered, so that the result does not depend on the order of
         arguments."""
         ridges = replace(self.template, minutiae=None, flat=None)
         return hashlib.sha256(pack(ridges)[1:]).digest()  # whatever they are of
 
-    @cached_property
+    @made_once
     def printed(self) -> Prepared:
         """As prints are compared with it: a surface by its print."""
         return self if self.template.flat is None else Prepared(self.template.flat)
 
-    @cached_property
+    @made_once
     def band(self) -> RidgeBand:
         """Its ridges with the steps of their levels smoothed away, zero outside."""
         smooth = gaussian_mean(self.template.value(), 0.6)
         value = np.where(self.template.valid, smooth, 0.0).astype(np.float32)
         return RidgeBand(value, self.template.valid, self.template.pitch_mm)
 
-    @cached_property
+    @made_once
     def views(self) -> CoarseViews:
         """The band on the coarse grid."""
         return CoarseViews(self.band)
 
-    @cached_property
+    @made_once
     def first(self) -> PatchGrid:
         """Patches for the refinement."""
         # largest shift of the patches that refine the coarse alignment
         return patch_grid(self.band, _FIRST_STEP_MM, 0.8)
 
-    @cached_property
+    @made_once
     def close(self) -> PatchGrid:
         """Patches that bend a small print."""
         # step, and largest shift, of the patches that bend a small print
         return patch_grid(self.band, 1.2, 0.4)
 
-    @cached_property
+    @made_once
     def patches(self) -> PatchGrid:
         """Patches for the score."""
         return patch_grid(self.band)
 
-    @cached_property
+    @made_once
     def cylinders(self) -> Cylinders | None:
         """Cylinders of its minutiae; None where there are too few."""
         minutiae = self.template.minutiae
