@@ -310,7 +310,6 @@ def calibrate_radiometry(
     limit_percent: PercentLimit = None,
     card_height_mm: CardHeight = 0.0,
     card_tilt_deg: CardTilt | None = None,
-    residuals: AnyPath | None = None,
     progress: Progress = silent,
 ) -> RadiometricCalibration | CardCheck:
     """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's
@@ -334,8 +333,6 @@ def calibrate_radiometry(
     card_tilt_deg
         Turn of the card about x and y, as X,Y (default: the base's, where 'calibrate camera' found
         it, else 0,0).
-    residuals
-        Picture to write: residuals under every LED, PNG.
 
     Returns
     -------
@@ -364,7 +361,6 @@ def calibrate_radiometry(
             limit_percent=limit_percent,
             card_height_mm=card_height_mm,
             card_tilt_deg=card_tilt_deg,
-            residuals=_path(residuals),
             progress=progress,
         )
     require(
@@ -376,7 +372,6 @@ def calibrate_radiometry(
         rig=rig,
         card_height_mm=card_height_mm or None,
         card_tilt_deg=card_tilt_deg,
-        residuals=residuals,
     )
     return check_folder(Path(folder), Path(check), limit_percent=limit_percent, progress=progress)
 
@@ -386,7 +381,6 @@ def calibrate_polarisers(
     *,
     out: AnyPath,
     rig: AnyPath | None = None,
-    residuals: AnyPath | None = None,
     progress: Progress = silent,
 ) -> Report:
     """Measure polarising films: brightness, image shift, and what they let pass, from a printed
@@ -401,14 +395,11 @@ def calibrate_polarisers(
         Rig file to write.
     rig
         Rig file to add the films to (default: the card's).
-    residuals
-        Picture to write: residuals under every LED, PNG.
 
     Returns
     -------
     Report
-        What was measured, with its intervals; ``films`` as they are in the rig file, ``out`` and
-        ``files``.
+        What was measured, with its intervals; ``films`` as they are in the rig file, and ``out``.
 
     Raises
     ------
@@ -422,7 +413,5 @@ def calibrate_polarisers(
     from splitknit_rig.calibration.polarisers import films_to_file
     from splitknit_rig.calibration.words import film_lines
 
-    facts = films_to_file(
-        Path(folder), Path(out), rig=_path(rig), residuals=_path(residuals), progress=progress
-    )
+    facts = films_to_file(Path(folder), Path(out), rig=_path(rig), progress=progress)
     return Report(facts, tuple(film_lines(facts)))

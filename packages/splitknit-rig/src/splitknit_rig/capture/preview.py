@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from splitknit.devices import Opened
@@ -57,7 +56,7 @@ def look_again(
         best = max(best, sharpness)
         count += 1
         if picture is not None:
-            scale = min(1.0, 640 / frame.pixels.shape[1])
-            write_image(picture, cv2.resize(frame.pixels, None, fx=scale, fy=scale))
+            every = max(1, frame.pixels.shape[1] // 640)
+            write_image(picture, frame.pixels[::every, ::every])
         show(sharpness, best)
     return count, best
