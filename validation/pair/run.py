@@ -40,7 +40,7 @@ from splitknit_simulator.finger.finger import (
 )
 from splitknit_simulator.finger.ridges import smooth_noise
 from splitknit_simulator.finger.skin_map import SkinMap, skin_map
-from splitknit_simulator.light.lighting import render_opaque, white_card
+from splitknit_simulator.light.lighting import cut_out, irradiance, white_card
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.skin import SkinRanges
 from splitknit_simulator.scene import TwinSettings
@@ -153,7 +153,10 @@ def opaque_capture(surface: SimulatedSurface, rig: Rig, rng: np.random.SeedSeque
     for name in ("white", "nir"):
         members = [k for k, led in enumerate(rig.leds) if led.band == name]
         leds = [rig.leds[k] for k in members]
-        window, light = render_opaque(surface, leds)
+        patch = cut_out(surface)
+        window = patch.window
+        light = np.stack([irradiance(led, patch.points, patch.normal) for led in leds])
+        light = np.where(patch.mask, light * np.float32(0.5 / np.pi), 0.0).astype(np.float32)
         level = np.float32(0.7 / np.percentile(light[light > 0], 99.9))
         images = []
         for k, seed in enumerate(rng.spawn(len(leds))):
