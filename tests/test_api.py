@@ -12,7 +12,6 @@ import pytest
 
 import splitknit
 import splitknit_match
-import splitknit_rig
 import splitknit_simulator
 from splitknit.capture import Capture
 from splitknit.errors import BadInput
@@ -120,16 +119,3 @@ def test_paths_and_objects_are_the_same(
 def test_a_folder_that_is_no_capture_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="capture"):
         splitknit.read_capture(tmp_path)
-
-
-def test_lights_from_the_drawing(tmp_path: Path) -> None:
-    calibration = splitknit_rig.calibrate_lights(
-        out=tmp_path / "rig.json",
-        geometry=True,
-        px_per_cm=378.5,
-        image_size="1100,1600",
-        led_height_cm=14.0,
-        led_radius_cm=5.25,
-    )
-    assert len(calibration.leds) == 14 and (tmp_path / "rig.json").is_file()
-    assert len(splitknit.read_rig(tmp_path / "rig.json").leds) == 14

@@ -165,9 +165,6 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     "`serve` listens on loopback": (
         f"{MATCH}/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
     ),
-    "`capture --preview` on loopback, at an address that no other user can guess": (
-        f"{RIG}/capture/test_preview.py::test_who_does_not_know_the_address_gets_no_picture",
-    ),
     "must set the variable itself, otherwise networks are refused": (
         f"{CORE}/networks/test_unet.py::test_onnxruntime_imported_with_telemetry_is_refused",
     ),

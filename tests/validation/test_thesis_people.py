@@ -9,9 +9,10 @@ import pytest
 from PIL import Image
 
 from script_folder import VALIDATION, scripts_of
-from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture
+from splitknit.io.rig import write_rig
+from splitknit.nominal import default_rig
 from splitknit_match.batch.population import read_population
 
 AZIMUTH = 2 * np.pi * np.arange(7) / 7
@@ -58,17 +59,7 @@ def tree(tmp_path: Path) -> Path:
 
 def test_a_tree_becomes_a_population(people, tree, tmp_path, capsys):
     out, rig = tmp_path / "people", tmp_path / "rig.json"
-    drawn = (
-        "--px-per-cm",
-        "75.7",
-        "--image-size",
-        "220,320",
-        "--led-height-cm",
-        "14",
-        "--led-radius-cm",
-        "5.25",
-    )
-    assert main(["calibrate", "lights", "--geometry", *drawn, "--out", str(rig)]) == 0
+    write_rig(default_rig(0.1), rig)
     words = [str(tree), "--images", PATTERN, "--nir", NIR, "--lights", str(rig), "--out", str(out)]
     capsys.readouterr()
     assert people.main([*words, "--dry-run"]) == 0

@@ -53,7 +53,7 @@ from splitknit_simulator.finger.finger import (
 )
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.shape import FingerBody
-from splitknit_simulator.light.lighting import render_opaque, white_card
+from splitknit_simulator.light.lighting import cut_out, irradiance, white_card
 from splitknit_simulator.light.renderer import RenderSettings, render_band
 from splitknit_simulator.light.skin import BAND_CHANNELS, SkinOptics, SkinRanges
 from splitknit_simulator.scene import finger_depth
@@ -451,7 +451,10 @@ def _frames(
     """(H, W, 3) radiance of the whole frame under each LED, and that of the brightest skin without
     specular light."""
     if skin is None:
-        window, matt = render_opaque(surface, leds, OPAQUE_ALBEDO)
+        patch = cut_out(surface)
+        window = patch.window
+        lit_by = np.stack([irradiance(led, patch.points, patch.normal) for led in leds])
+        matt = (lit_by * (patch.mask * np.float32(OPAQUE_ALBEDO / np.pi))).astype(np.float32)
         diffuse, glare = matt[:, None], np.zeros_like(matt)
     else:
         light = render_band(surface, leds, skin.medium(name), RenderSettings(workers=1))

@@ -1,4 +1,4 @@
-"""Surfaces for other programs: colours, models with a texture, closed solids, maps."""
+"""Surfaces for other programs: colours, models with a texture, closed solids."""
 
 from __future__ import annotations
 
@@ -7,17 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-from PIL import Image
 
 import splitknit
 from splitknit.imaging.pixels import GREY_WEIGHTS
-from splitknit.io.provenance import provenance
 from splitknit.reconstruction import Reconstruction
-from splitknit_match.records import surface_files
-from splitknit_match.records.surface_files import map_files, surface_bytes
+from splitknit_match.records.surface_files import surface_bytes
 from written_files import read_ply
 
 SIDE = 90
@@ -71,27 +67,16 @@ def test_a_result_keeps_its_colours(dome: Reconstruction, tmp_path: Path) -> Non
     np.testing.assert_allclose(read.colour, np.minimum(dome.colour / white, 1.0), atol=0.01)
 
 
-@pytest.mark.parametrize("vertices", [100_000, 500])
-def test_a_model_has_a_texture_and_the_detail_that_its_mesh_lacks(
-    dome: Reconstruction, monkeypatch: pytest.MonkeyPatch, vertices: int
-) -> None:
-    monkeypatch.setattr(surface_files, "_MODEL_VERTICES", vertices)
+def test_a_model_has_its_colours_in_a_texture(dome: Reconstruction) -> None:
     facts, data = surface_bytes(dome, "glb", "a dome")
     mesh = loaded(data, "glb")
-    assert len(mesh.vertices) == facts["vertices"] <= 1.1 * vertices
+    assert len(mesh.vertices) == facts["vertices"] == MASK.sum()
     np.testing.assert_allclose(mesh.extents[:2], 2 * np.sqrt(0.8) * 45 / 9000, rtol=0.1)  # metres
     texture = np.asarray(mesh.visual.material.baseColorTexture)
     column, row = (mesh.visual.uv * texture.shape[1::-1]).T
     here = texture[(texture.shape[0] - row).astype(int), column.astype(int)]
     assert (here[mesh.vertices[:, 0] > 3e-4, 0] > 180).all()
     assert (here[mesh.vertices[:, 0] < -3e-4, 2] > 180).all()
-    normals = mesh.visual.material.normalTexture
-    if vertices > MASK.sum():
-        assert normals is None
-    else:
-        detail = np.asarray(normals).astype(float) / 127.5 - 1
-        assert np.abs(np.linalg.norm(detail, axis=2) - 1).max() < 0.02
-        assert 3 < np.degrees(np.arccos(np.percentile(detail[..., 2], 5))) < 20
 
 
 def test_a_grey_result_becomes_a_grey_model(dome: Reconstruction) -> None:
@@ -113,27 +98,3 @@ def test_a_solid_is_closed_and_stands_on_a_flat_base(dome: Reconstruction) -> No
         low, high = 2.0, 2.0 + np.ptp(dome.height_mm[MASK])
         area = inside.sum() / 81
         assert 0.8 * area * low < solid.volume < area * high
-
-
-def test_maps_state_their_scale(dome: Reconstruction) -> None:
-    (_, facts, height), (_, _, opengl) = map_files(dome, "opengl", provenance({}, {}))
-    picture = Image.open(io.BytesIO(height))
-    levels = np.asarray(picture).astype(float)
-    low, high = (float(picture.text[f"Gwy::{name}"]) for name in ("ZMin", "ZMax"))
-    metres = low + levels / 65535 * (high - low)
-    np.testing.assert_allclose(1000 * metres[MASK], dome.height_mm[MASK], atol=2e-5)
-    assert not levels[~MASK].any()
-    assert (levels[MASK].min(), levels[MASK].max()) == (1, 65535)
-    assert (facts["unit"], facts["level_65535"]) == ("mm", pytest.approx(1000 * high))
-    assert picture.text["Gwy::XYUnit"] == picture.text["Gwy::ZUnit"] == "m"
-    assert float(picture.text["Gwy::XReal"]) == pytest.approx(0.09 / 9)
-    assert picture.info["dpi"][0] == pytest.approx(9 * 25.4, rel=1e-3)
-    _, (_, _, directx) = map_files(dome, "directx", provenance({}, {}))
-    up, down = (
-        cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)[..., ::-1] / 32767.5 - 1
-        for data in (opengl, directx)
-    )
-    np.testing.assert_allclose(up[MASK], dome.normals[MASK], atol=2e-5)
-    np.testing.assert_allclose(down, up * (1, -1, 1), atol=4e-5)
-    _, unscaled, _ = next(map_files(replace(dome, scale_known=False), "opengl", provenance({}, {})))
-    assert (unscaled["unit"], unscaled["pitch"]) == ("px", 1.0)

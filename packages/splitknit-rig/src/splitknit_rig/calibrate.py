@@ -121,14 +121,12 @@ def calibrate_lights(
     table: Annotated[AnyPath | None, _SOURCE] = None,
     images: Annotated[AnyPath | None, _SOURCE] = None,
     sphere: Annotated[Literal["chrome", "grey"] | None, _SOURCE] = None,
-    geometry: Annotated[bool, _SOURCE] = False,
     rig: Annotated[AnyPath | None, _RIG] = None,
     px_per_cm: Annotated[Positive | None, _RIG] = None,
     image_size: Annotated[str | None, _RIG] = None,
     led_height_cm: Annotated[Positive | None, _RIG] = None,
     led_radius_cm: Annotated[Positive | None, _RIG] = None,
     led_centre_px: Annotated[str | None, _RIG] = None,
-    first_azimuth_deg: Annotated[float, _RIG] = 0.0,
     nail_height_mm: Annotated[float | None, Limits(0.5, 500), _NAIL] = None,
     method: Annotated[Literal["circle", "joint"] | None, _NAIL] = None,
     limit_deg: Annotated[float, Limits(0, 90, above=True), _NAIL] = 5.0,
@@ -141,7 +139,7 @@ def calibrate_lights(
     tips_out: Annotated[AnyPath | None, _PICTURES] = None,
     progress: Progress = silent,
 ) -> CalibratedLights:
-    """Find where the LEDs are: from a nail's shadows, a ball, or the rig's drawing.
+    """Find where the LEDs are: from a nail's shadows or a ball.
 
     Parameters
     ----------
@@ -155,8 +153,6 @@ def calibrate_lights(
         Photographs: of the nail, or with `sphere` of a ball.
     sphere
         The photographs show a ball of this kind, or several of chrome.
-    geometry
-        Nothing is measured: LEDs where the drawing has them.
     rig
         Rig file with the calibrated camera.
     px_per_cm
@@ -169,8 +165,6 @@ def calibrate_lights(
         Radius of the circle on which they sit.
     led_centre_px
         Pixel X,Y of the circle's centre (default: the rig's origin).
-    first_azimuth_deg
-        Of white LED 0, for `geometry`.
     nail_height_mm
         Where it is known (default: it is found).
     method
@@ -209,12 +203,9 @@ def calibrate_lights(
     Examples
     --------
     >>> import splitknit_rig
-    >>> drawn = {"px_per_cm": 378.5, "led_height_cm": 14.0, "led_radius_cm": 5.25}
-    >>> lights = splitknit_rig.calibrate_lights(
-    ...     out="rig.json", geometry=True, image_size="1100,1600", **drawn
+    >>> splitknit_rig.calibrate_lights(  # doctest: +SKIP
+    ...     out="rig_2.json", images="nail", rig="rig_1.json"
     ... )
-    >>> len(lights.leds)
-    14
     """
     from splitknit import read_rig
     from splitknit_rig.calibration import ball_photos as balls
@@ -226,16 +217,14 @@ def calibrate_lights(
         "table": table is not None,
         "images": images is not None and sphere is None,
         "sphere": sphere is not None,
-        "geometry": geometry,
     }
     chosen = [f"`{name}`" for name, is_given in sources.items() if is_given]
     named = " and ".join(chosen) + " were" if chosen else "none was"
-    choices = "`table`, `images`, `sphere` with `images`, and `geometry`"
+    choices = "`table`, `images`, and `sphere` with `images`"
     require(len(chosen) == 1, f"calibrate lights needs one of {choices}, but {named} given.")
     require(
         sphere is None or images is not None, "`sphere` needs `images`, photographs of the ball."
     )
-    require(not geometry or out is not None, "`geometry` writes a rig file; name it by `out`.")
     if rig is not None:
         refuse_given(
             "and `rig` set the same thing; give one of them.",
@@ -267,9 +256,6 @@ def calibrate_lights(
     if base is None:
         base = lights.rig_without_leds(px_per_cm, image_size, led_height_cm)
     circle = lights.led_circle(base, led_radius_cm, led_height_cm, led_centre_px)
-    if geometry:
-        assert target is not None
-        return lights.lights_as_drawn(base, circle, target, first_azimuth_deg=first_azimuth_deg)
     rules = Rules(Nail(nail_height_mm), method, 2 if rig is not None else 3, limit_deg, keep)
     if table is not None:
         return lights.lights_of_table(Path(table), base, circle, rules, target)
@@ -310,7 +296,6 @@ def calibrate_radiometry(
     limit_percent: PercentLimit = None,
     card_height_mm: CardHeight = 0.0,
     card_tilt_deg: CardTilt | None = None,
-    residuals: AnyPath | None = None,
     progress: Progress = silent,
 ) -> RadiometricCalibration | CardCheck:
     """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's
@@ -334,8 +319,6 @@ def calibrate_radiometry(
     card_tilt_deg
         Turn of the card about x and y, as X,Y (default: the base's, where 'calibrate camera' found
         it, else 0,0).
-    residuals
-        Picture to write: residuals under every LED, PNG.
 
     Returns
     -------
@@ -364,7 +347,6 @@ def calibrate_radiometry(
             limit_percent=limit_percent,
             card_height_mm=card_height_mm,
             card_tilt_deg=card_tilt_deg,
-            residuals=_path(residuals),
             progress=progress,
         )
     require(
@@ -376,7 +358,6 @@ def calibrate_radiometry(
         rig=rig,
         card_height_mm=card_height_mm or None,
         card_tilt_deg=card_tilt_deg,
-        residuals=residuals,
     )
     return check_folder(Path(folder), Path(check), limit_percent=limit_percent, progress=progress)
 
@@ -386,7 +367,6 @@ def calibrate_polarisers(
     *,
     out: AnyPath,
     rig: AnyPath | None = None,
-    residuals: AnyPath | None = None,
     progress: Progress = silent,
 ) -> Report:
     """Measure polarising films: brightness, image shift, and what they let pass, from a printed
@@ -401,14 +381,11 @@ def calibrate_polarisers(
         Rig file to write.
     rig
         Rig file to add the films to (default: the card's).
-    residuals
-        Picture to write: residuals under every LED, PNG.
 
     Returns
     -------
     Report
-        What was measured, with its intervals; ``films`` as they are in the rig file, ``out`` and
-        ``files``.
+        What was measured, with its intervals; ``films`` as they are in the rig file, and ``out``.
 
     Raises
     ------
@@ -422,7 +399,5 @@ def calibrate_polarisers(
     from splitknit_rig.calibration.polarisers import films_to_file
     from splitknit_rig.calibration.words import film_lines
 
-    facts = films_to_file(
-        Path(folder), Path(out), rig=_path(rig), residuals=_path(residuals), progress=progress
-    )
+    facts = films_to_file(Path(folder), Path(out), rig=_path(rig), progress=progress)
     return Report(facts, tuple(film_lines(facts)))

@@ -83,8 +83,8 @@ def capture(
     led
         Only light this LED, such as 'white 3', and photograph nothing.
     preview
-        Show the camera in the browser, with sharpness and histogram, while the lens is turned;
-        under `led` (default: the first).
+        Photograph and state the sharpness again and again while the lens is turned; under `led`
+        (default: the first). `out`: a picture (.png) that is kept up to date.
     seconds
         For how long (default: 5; `preview` 600).
     keep
@@ -138,15 +138,15 @@ def capture(
     from splitknit_rig.capture.session import SessionSettings
 
     if preview or led is not None:
-        scene = target if preview else "card"
         refuse_given(
-            f"does not go with `{'preview' if preview else 'led'}`, which photographs nothing.",
-            out=out,
+            f"does not go with `{'preview' if preview else 'led'}`.",
             enrolment=enrolment,
-            target=None if preview else target,
+            **({} if preview else {"out": out, "target": target}),
         )
-        opener = _opener(device, flatten(settings or {}), rig, scale, target=scene)
-        return _lit(opener, led, seconds, preview=preview)
+        opener = _opener(device, flatten(settings or {}), rig, scale, target=target or "card")
+        if preview:
+            return _previewed(opener, led, seconds or 600.0, out)
+        return _lit(opener, led, seconds or 5.0)
     refuse_given("belongs to `led` or `preview`.", seconds=seconds)
     places = (
         "name where captures go: `out` DIR for one finger, or `enrolment` DIR for many, not both."
@@ -252,35 +252,38 @@ def _opener(
     return opener_of(device, changes, None if rig_file is None else read_rig(rig_file), scale, **of)
 
 
-def _lit(opener: Opener, name: str | None, seconds: float | None, *, preview: bool) -> Report:
-    """Light one LED for a time, or show the camera under it in the browser."""
+def _led_of(devices: Opened, name: str | None) -> int:
+    """Number of a named LED, or of the first."""
     from splitknit_rig.capture.pins import led_names
 
+    names = led_names(devices.rig)
+    require(name in (None, *names), f"the rig has no LED '{name}'; it has {', '.join(names)}.")
+    return 0 if name is None else names.index(name)
+
+
+def _lit(opener: Opener, name: str | None, seconds: float) -> Report:
+    """Light one LED for a time."""
     with opener(0, 0) as devices:
-        names = led_names(devices.rig)
-        name = name or names[0]
-        require(name in names, f"the rig has no LED '{name}'; it has {', '.join(names)}.")
-        if preview:
-            return _previewed(devices, names.index(name), seconds)
-        seconds = seconds or 5.0
-        devices.lights.shine(names.index(name), seconds)
+        devices.lights.shine(_led_of(devices, name), seconds)
     return Report({"led": name, "seconds": seconds}, (f"{name} was lit for {seconds:g} s.",))
 
 
-PREVIEW_PORT = 8765
+def _previewed(opener: Opener, name: str | None, seconds: float, out: AnyPath | None) -> Report:
+    """State the sharpness under one LED for a time."""
+    from splitknit_rig.calibration.written import check_picture
+    from splitknit_rig.capture.preview import look_again
 
-
-def _previewed(devices: Opened, led: int, seconds: float | None) -> Report:
-    from splitknit_rig.capture.preview import Preview, serve_preview
-
-    def ready(address: str) -> None:
-        sys.stderr.write(f"Open {address} on this computer; Ctrl-C ends it.\n")
+    def show(sharpness: float, best: float) -> None:
+        sys.stderr.write(f"\rsharpness {sharpness:.2f} %, best {best:.2f} % ")
         sys.stderr.flush()
 
-    preview = Preview(devices, led)
-    serve_preview(preview, seconds or 600.0, PREVIEW_PORT, ready)
-    facts = {"looks": preview.looks, "best_sharpness": preview.best}
-    return Report(facts, (f"{preview.looks} pictures, best sharpness {preview.best:.2f} %.",))
+    picture = None if out is None else Path(out)
+    check_picture(picture)
+    with opener(0, 0) as devices:
+        led = _led_of(devices, name)
+        count, best = look_again(devices, led, seconds, picture, show)
+    facts = {"looks": count, "best_sharpness": best}
+    return Report(facts, (f"{count} pictures, best sharpness {best:.2f} %.",))
 
 
 def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]:

@@ -1,104 +1,54 @@
-"""The camera in the browser, asked over HTTP: the twin's picture, its sharpness and histogram."""
+"""The camera while the lens is turned: the twin's picture and its sharpness."""
 
 from __future__ import annotations
 
-import base64
-import http.client
-import json
-import threading
-from urllib.parse import urlsplit
+from pathlib import Path
 
 import cv2
-import numpy as np
-import pytest
 
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
-from splitknit_rig import capture_finger
 from splitknit_rig.capture.openers import opener_of
-from splitknit_rig.capture.preview import Preview, serve_preview
+from splitknit_rig.capture.preview import look_again
 
 
-def ask(address: str, name: str = "", host: str | None = None) -> tuple[int, bytes]:
-    place = urlsplit(address)
-    connection = http.client.HTTPConnection(place.netloc, timeout=30)
-    connection.request("GET", place.path + name, headers={} if host is None else {"Host": host})
-    answer = connection.getresponse()
-    return answer.status, answer.read()
-
-
-@pytest.fixture
-def served():
-    """A preview of the twin's checkerboard in a thread, its address, and its devices."""
-    opener = opener_of("twin", {}, None, 0.1, target="board")
-    with opener(0, 0) as devices:
-        preview, places, known = Preview(devices, 2), [], threading.Event()
-
-        def ready(address: str) -> None:
-            places.append(address)
-            known.set()
-
-        thread = threading.Thread(target=serve_preview, args=(preview, 5.0, 0, ready))
-        thread.start()
-        assert known.wait(10)
-        yield places[0], preview, devices
-        thread.join()
-
-
-def test_the_page_shows_sharpness_and_histogram(served):
-    address, preview, devices = served
-    code, page = ask(address)
-    assert code == 200 and b"histogram" in page and b"http" not in page.split(b"<body>")[1]
-    for _ in range(4):  # the exposure is found by and by
-        code, body = ask(address, "look")
-        assert code == 200
-    seen = json.loads(body)
-    assert 0 < seen["sharpness"] <= seen["best"] == pytest.approx(preview.best, abs=1e-3)
-    counts = np.array(seen["histogram"])
-    assert counts.sum() > 0 and counts[32:].sum() > 0.05 * counts.sum()
-    assert seen["clipped"] < 0.05
-    for name in ("picture", "middle"):
-        picture = cv2.imdecode(np.frombuffer(base64.b64decode(seen[name]), np.uint8), 1)
-        assert picture.shape[2] == 3 and picture.max() > 100
-    assert devices.lights.lit == {2}
-    assert ask(address, "nothing")[0] == 404
-    port = urlsplit(address).port
-    with pytest.raises(BadInput, match=f"port {port} of this computer is taken"):
-        serve_preview(preview, 0.1, port, print)
-
-
-def test_who_does_not_know_the_address_gets_no_picture(served):
-    address, preview, _ = served
-    looks = preview.looks
-    bare, secret = f"http://{urlsplit(address).netloc}/", urlsplit(address).path.strip("/")
-    assert len(secret) >= 43  # 256 bits
-    wrong = secret[:-1] + ("a" if secret[-1] != "a" else "b")
-    for guess in ("", "look", "etc/passwd", "/look", f"{wrong}/look", f"x/{secret}/look", "%FF/"):
-        code, body = ask(bare, guess)
-        assert code == 404 and secret.encode() not in body, guess
-    code, body = ask(address, "look", host="evil.example")
-    assert code == 403 and secret.encode() not in body
-    assert preview.looks == looks
+def test_it_shows_sharpness_and_picture(tmp_path: Path):
+    shown = []
+    with opener_of("twin", {}, None, 0.1, target="board")(0, 0) as devices:
+        count, best = look_again(
+            devices, 2, 1.0, tmp_path / "a.png", lambda *each: shown.append(each)
+        )
+        assert devices.lights.lit == {2}
+    assert len(shown) == count > 1
+    assert best == shown[-1][1] == max(sharpness for sharpness, _ in shown) > 0
+    picture = cv2.imread(str(tmp_path / "a.png"))
+    assert picture.shape[2] == 3
+    assert picture.max() > 100
+    assert (picture == 255).mean() < 0.05  # the exposure was found
 
 
 def test_it_is_sharpest_in_focus():
     def sharpness(aperture_mm: float) -> float:
         changes = {"render.aperture_mm": aperture_mm}
+        shown = []
         with opener_of("twin", changes, None, 0.2, target="phantom")(0, 0) as devices:
-            preview = Preview(devices, 0)
-            return [preview.look() for _ in range(4)][-1]["sharpness"]
+            while len(shown) < 4:
+                look_again(devices, 0, 1.0, None, lambda *each: shown.append(each[0]))
+        return shown[-1]
 
     assert sharpness(0.0) > 1.1 * sharpness(20.0)  # half of it below the plane in focus
 
 
-def test_the_command(monkeypatch, capsys):
-    monkeypatch.setattr(capture_finger, "PREVIEW_PORT", 0)
+def test_the_command(tmp_path: Path, capsys):
     words = ["capture", "--device", "twin", "--preview", "--scale", "0.1", "--target", "board"]
-    assert main([*words, "--seconds", "0.3"]) == 0
+    picture = tmp_path / "focus.png"
+    assert main([*words, "--seconds", "0.3", "--out", str(picture)]) == 0
     printed = capsys.readouterr()
-    assert "Open http://127.0.0.1:" in printed.err
-    assert "0 pictures, best sharpness" in printed.out
+    assert "sharpness " in printed.err
+    assert "pictures, best sharpness" in printed.out
+    assert picture.is_file()
     assert main([*words, "--led", "white 99", "--seconds", "0.3"]) == 2
     assert "the rig has no LED 'white 99'" in capsys.readouterr().err
-    assert main([*words, "--out", "there"]) == 2
+    assert main([*words, "--out", str(tmp_path / "there")]) == 2
+    assert "must end in .png or .tif" in capsys.readouterr().err
+    assert main([*words, "--enrolment", str(tmp_path / "there")]) == 2
     assert "preview" in capsys.readouterr().err

@@ -146,23 +146,10 @@ def test_the_same_table_gives_the_same_bytes(capsys, tmp_path):
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
-def test_geometry_places_the_leds_on_the_stated_circle(capsys, tmp_path):
-    out = tmp_path / "rig.json"
-    assert run(capsys, "--geometry", *GOOD, "--out", out)[0] == 0
-    for led, truth in zip(read_rig(out).leds, default_rig().leds, strict=True):
-        assert led.band == truth.band and led.position_mm == pytest.approx(truth.position_mm)
-    write_rig(default_rig(seed=2), tmp_path / "old.json")
-    words = "--rig", tmp_path / "old.json", "--led-radius-cm", "5", "--out", out
-    assert run(capsys, "--geometry", *words)[0] == 0
-    for led, old in zip(read_rig(out).leds, default_rig(seed=2).leds, strict=True):
-        assert led.intensity == old.intensity
-        assert np.hypot(*led.position_mm[:2]) == pytest.approx(50.0)
-
-
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("--table", THESIS, "--geometry"), "--table and --geometry"),
+        (("--table", THESIS, "--images", "nail"), "--table and --images"),
         (("--table", THESIS), "--px-per-cm and --image-size and --led-height-cm"),
         (("--table", THESIS, *SIZE), "--led-radius-cm"),
         (("--table", THESIS, *RIG[:-1], "2200"), "rows,columns"),
@@ -170,7 +157,6 @@ def test_geometry_places_the_leds_on_the_stated_circle(capsys, tmp_path):
         (("--table", "absent.csv", *RIG), "absent.csv"),
         (("--table", THESIS, *RIG, "--out", "lights.lp"), "an .lp file holds directions"),
         (("--sphere", "grey", *RIG), "--images"),
-        (("--geometry", *RIG), "--out"),
     ],
 )
 def test_options_that_cannot_be_used_are_refused(capsys, words, expected):
@@ -358,8 +344,9 @@ def test_a_list_of_lights_replaces_another_one_only(name, tmp_path):
 
 
 def test_a_list_of_lights_of_two_bands_is_refused(capsys, tmp_path):
-    message = refused(capsys, "--geometry", *GOOD, "--out", tmp_path / "lights.txt")
-    assert "2 bands" in message and "rig.json" in message and list(tmp_path.iterdir()) == []
+    table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5), (6, -4)])
+    message = refused(capsys, "--table", table, *GOOD, "--out", tmp_path / "lights.txt")
+    assert "2 bands" in message and "rig.json" in message and list(tmp_path.iterdir()) == [table]
 
 
 @pytest.mark.slow

@@ -312,11 +312,6 @@ def _population(
     ]
     if facts["prints"]:
         count = facts["subjects"] * len(facts["fingers"])
-        mirrored = (
-            f", {facts['prints_mirrored']} of them mirrored" if facts["prints_mirrored"] else ""
-        )
-        lines.append(
-            f"{facts['prints']} of {count} fingers have the ridges of a real print{mirrored}."
-        )
+        lines.append(f"{facts['prints']} of {count} fingers have the ridges of a real print.")
     lines.append(f"{facts['table']} lists them with what was drawn.")
     return Report(facts, tuple(lines))

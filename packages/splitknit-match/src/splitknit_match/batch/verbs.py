@@ -27,7 +27,6 @@ from splitknit.arguments import (
 )
 from splitknit.errors import BadInput, require
 from splitknit.findings import Finding, worst_first
-from splitknit.io.photographs import NO_PHOTOGRAPHS, AllPhotographs
 from splitknit_match.gallery.verbs import KeyFile
 
 if TYPE_CHECKING:
@@ -49,20 +48,18 @@ def batch(
     jobs: Natural = 2,
     device: Device = "cpu",
     scheduler: str | None = None,
-    photographs: AllPhotographs = NO_PHOTOGRAPHS,
     progress: Progress = silent,
 ) -> Report:
-    """Reconstruct and compare a population, or reconstruct many objects.
+    """Reconstruct and compare a population.
 
     What is there already is skipped.
 
     Parameters
     ----------
     population
-        Folder of 'splitknit simulate population' or an enrolment; or a folder of objects, with a
-        folder of photographs (its lights.txt in it, if not `lights`) or a capture of each.
+        Folder of 'splitknit simulate population' or an enrolment.
     out
-        Folder of the results, of objects a result of each; may be there.
+        Folder of the results; may be there.
     cases
         Presets with commas (default: metric,snk,pr,ea).
     case
@@ -83,8 +80,6 @@ def batch(
         onnxruntime-gpu), or auto, cuda where there is one.
     scheduler
         Dask scheduler tls://HOST:PORT whose workers do it instead.
-    photographs
-        What is known of the photographs of all objects.
 
     Returns
     -------
@@ -93,8 +88,7 @@ def batch(
     Raises
     ------
     BadInput
-        As :func:`splitknit_match.batch.engine.run_batch` and
-        :func:`splitknit_match.batch.objects.reconstruct_objects`.
+        As :func:`splitknit_match.batch.engine.run_batch`.
 
     Examples
     --------
@@ -102,22 +96,7 @@ def batch(
     """
     from splitknit_match.batch.cases import preset_cases
     from splitknit_match.batch.engine import run_batch
-    from splitknit_match.batch.objects import objects_in, reconstruct_objects
 
-    require(photographs.images is None, f"`images` is '{population}' itself; leave it out.")
-    if objects := objects_in(Path(population)):
-        not_default = None if matchers == "ridge" else matchers
-        refuse_given(
-            "is for fingers; leave it out for objects.",
-            cases=cases,
-            case=tuple(case),
-            matchers=not_default,
-            scheduler=scheduler,
-        )
-        facts = reconstruct_objects(objects, Path(out), photographs, device, progress)
-        new = f"{count(len(facts['objects']), 'object')} reconstructed now"
-        return Report(facts, (f"{new}, {facts['found']} were there, in {out}.",))
-    photographs.refuse_without_images()
     own = tuple(_case(text) for text in case)
     if cases is not None:
         presets = _names(cases, "`cases`", "such as metric,ea")

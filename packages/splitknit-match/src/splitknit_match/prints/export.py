@@ -36,7 +36,6 @@ from splitknit_match.prints.from_file import (
     read_print_folder,
 )
 from splitknit_match.prints.make import Print, enhance, make_print, measured, minutiae_by_phase
-from splitknit_match.prints.minutiae import extract
 from splitknit_match.prints.minutiae_record import PPI, no_minutiae
 from splitknit_match.prints.sources import read_source
 from splitknit_match.records.minutiae_record import (
@@ -47,7 +46,7 @@ from splitknit_match.records.minutiae_record import (
 )
 from splitknit_match.records.pictures import PrintFile
 from splitknit_match.records.print_formats import FORMATS, WSQ_PPI, PrintFormat, Writing
-from splitknit_match.records.surface_files import map_files, surface_bytes
+from splitknit_match.records.surface_files import surface_bytes
 
 FACTS_FILE = "export.json"
 _KEPT_PPI = (500, 1000)
@@ -83,7 +82,6 @@ def export_records(
     impression: str | None = None,
     compression: str = "none",
     owner: int = VENDOR_UNKNOWN,
-    minutiae: str = "phase",
     resolution_ppi: float | None = None,
     ridges: str | None = None,
     preset: str = "metric",
@@ -110,7 +108,6 @@ def export_records(
         "impression": impression,
         "compression": compression,
         "owner": owner,
-        "minutiae": minutiae,
         "resolution_ppi": resolution_ppi,
         "ridges": ridges,
         "preset": preset,
@@ -132,9 +129,7 @@ def export_records(
             writing = Writing(
                 compression, provenance_texts(provenance({"to": form.name}, hashes)), owner=owner
             )
-            encode = partial(
-                _encoded, picture, view, form, writing, how=minutiae, printed=item.printed
-            )
+            encode = partial(_encoded, picture, view, form, writing, item.printed)
             data, more = naming(source, encode)
             write = partial(Path.write_bytes, data=data)
             yield item.name, form.suffix, write, facts | more, findings
@@ -146,10 +141,9 @@ def export_surfaces(
     sources: Sequence[Path],
     out: Path,
     to: str,
-    preset: str = "metric",
     *,
+    preset: str = "metric",
     base_mm: float | None = None,
-    normals: str = "opengl",
     progress: Progress = no_progress,
 ) -> Facts:
     """Write the surfaces of captures and results, or the lights of captures (`to` lp); as
@@ -162,17 +156,11 @@ def export_surfaces(
             yield name, ".lp", write, facts, ()
             return
         result, facts = _surface(source, preset, hashes)
-        if to == "maps":
-            origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
-            for part, more, data in naming(source, lambda: [*map_files(result, normals, origin)]):
-                write = partial(Path.write_bytes, data=data)
-                yield f"{name}-{part}", ".png", write, facts | more, ()
-            return
         title = f"splitknit {provenance({}, {})['version']}, preset {result.preset or preset}"
         more, data = naming(source, lambda: surface_bytes(result, to, title, base_mm))
         yield name, f".{to}", partial(Path.write_bytes, data=data), facts | more, ()
 
-    parameters = {"to": to, "preset": preset, "base_mm": base_mm, "normals": normals}
+    parameters = {"to": to, "preset": preset, "base_mm": base_mm}
     return _exported(sources, out, files, parameters, progress)
 
 
@@ -330,16 +318,14 @@ def _encoded(
     view: FingerView | None,
     form: PrintFormat,
     writing: Writing,
-    *,
-    how: str,
     printed: Print | None,
 ) -> tuple[bytes, Facts]:
-    """Bytes of a finger, and facts of them; `how` minutiae are found."""
+    """Bytes of a finger, and facts of them."""
     assert form.encode is not None
     if form.holds == "minutiae":
         if view is None:
             assert picture is not None
-            view = _minutiae_in(picture, how, printed)
+            view = _minutiae_in(picture, printed)
         facts: Facts = {
             "size": list(view.size),
             "minutiae": view.count,
@@ -354,7 +340,7 @@ def _encoded(
     picture = _fitting(picture, form)
     facts = {"size": list(picture.image.shape), "ppi": round(picture.resolution_ppi or 0.0, 2)}
     if form.name == "iso-39794-4":
-        facts["quality"] = _minutiae_in(picture, "none", printed).finger_quality
+        facts["quality"] = _minutiae_in(picture, printed).finger_quality
     return form.encode(picture, replace(writing, quality=facts.get("quality"))), facts
 
 
@@ -369,7 +355,7 @@ def _fitting(picture: PrintFile, form: PrintFormat) -> PrintFile:
     return replace(picture, resolution_ppi=near)
 
 
-def _minutiae_in(picture: PrintFile, how: str, printed: Print | None) -> FingerView:
+def _minutiae_in(picture: PrintFile, printed: Print | None) -> FingerView:
     """Minutiae and quality of a print, at 500 ppi; none where it has no ridges (failure to
     acquire)."""
     minutiae = no_minutiae(
@@ -383,8 +369,5 @@ def _minutiae_in(picture: PrintFile, how: str, printed: Print | None) -> FingerV
         pass
     else:
         quality = measured(printed, enhanced).score
-        if how == "mindtct":
-            minutiae = extract(printed.image, enhance=printed.even is not None)
-        elif how == "phase":
-            minutiae = minutiae_by_phase(printed, enhanced)
+        minutiae = minutiae_by_phase(printed, enhanced)
     return finger_view(minutiae, quality, picture.finger, picture.impression)

@@ -45,7 +45,6 @@ PrintFormat = Literal[
     "stl",
     "obj",
     "glb",
-    "maps",
     "lp",
 ]
 
@@ -258,12 +257,10 @@ def export(
     impression: str | None = None,
     compression: Literal["none", "png", "wsq", "jp2"] = "none",
     owner: Annotated[int, Limits(1, 65535), Parameter(converter=_owner, n_tokens=1)] = 0x0103,
-    minutiae: Literal["phase", "mindtct"] = "phase",
     resolution_ppi: ResolutionPpi = None,
     ridges: Ridges = None,
     preset: Preset = "metric",
     base_mm: Annotated[float | None, Limits(0, 1000, above=True), Parameter("--base")] = None,
-    normals: Literal["opengl", "directx"] = "opengl",
     progress: Progress = silent,
 ) -> Report:
     """Write fingers as records, images and meshes that other systems read.
@@ -276,9 +273,8 @@ def export(
     to
         Minutiae: iso-19794-2 (of 2005), ansi-378 (of 2004), ansi-378-2009; pictures: iso-19794-4
         (of 2005), iso-39794-4 (of 2019, with the print's quality), wsq, png, tiff; surfaces of
-        captures and results (stl, obj and glb need the extra mesh): stl, obj (mm), glb (metres; a
-        light mesh with colours in a texture and fine detail in a normal map), maps (height and
-        normals as PNG of 16 bits); the lights of captures, for RTI: lp.
+        captures and results (which need the extra mesh): stl, obj (mm), glb (metres; colours in a
+        texture); the lights of captures, for RTI: lp.
     out
         Folder to write, one file a finger.
     finger
@@ -290,15 +286,11 @@ def export(
         Of iso-19794-4 and iso-39794-4 (jp2: JPEG 2000 without loss; wsq loses a little).
     owner
         IBIA's number of who makes the records (default: 0x0103, not registered).
-    minutiae
-        How they are found: by the phase of the ridges, or by NIST's mindtct (extra minutiae).
     preset
         How captures are reconstructed.
     base_mm
         Of stl: a closed solid for a printer, whose flat base lies so many mm below the lowest
         point.
-    normals
-        Of maps: y up, as OpenGL and Blender have it, or down (directx).
 
     Returns
     -------
@@ -318,16 +310,9 @@ def export(
 
     places = [Path(source) for source in sources]
     require(base_mm is None or to == "stl", "`base_mm` is of `to` stl.")
-    require(normals == "opengl" or to == "maps", "`normals` is of `to` maps.")
-    if to in ("stl", "obj", "glb", "maps", "lp"):
+    if to in ("stl", "obj", "glb", "lp"):
         facts = export_surfaces(
-            places,
-            Path(out),
-            to,
-            preset,
-            base_mm=base_mm,
-            normals=normals,
-            progress=progress,
+            places, Path(out), to, preset=preset, base_mm=base_mm, progress=progress
         )
     else:
         facts = export_records(
@@ -338,7 +323,6 @@ def export(
             impression=impression,
             compression=compression,
             owner=owner,
-            minutiae=minutiae,
             resolution_ppi=resolution_ppi,
             ridges=ridges,
             preset=preset,

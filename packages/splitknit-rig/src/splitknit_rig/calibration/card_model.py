@@ -114,16 +114,6 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Answer:
-    """Parameters of the model for every LED."""
-
-    brightness: Array  # (L,)
-    exponent: Array  # (L,)
-    tilt: Array  # (L, 2): u and v
-    lens: Array  # (2,)
-
-
 class CardModel:
     """Geometry of a card under `leds`, seen at `pixels`: everything that does not change while
     fitting. The vector of parameters has the lens's a and b, then ln c, n, u and v of every LED."""
@@ -151,50 +141,21 @@ class CardModel:
         """Vector of parameters, one for the lens and one that all LEDs have."""
         return np.concatenate([of_lens, np.tile(of_led, self.count)])
 
-    def answer(self, vector: Array) -> Answer:
-        """Parameters written out."""
-        of_leds = vector[2:].reshape(-1, 4)
-        return Answer(np.exp(of_leds[:, 0]), of_leds[:, 1], of_leds[:, 2:], vector[:2])
-
     def logarithm(self, vector: Array) -> Array:
         """Model (L, N): ln of the brightness."""
-        answer = self.answer(vector)
-        return (
-            np.log(answer.brightness)[:, None]
-            + self.known
-            + answer.exponent[:, None] * self._log_cosine(answer.tilt)
-            + np.log(self._fall_off(answer.lens))
+        level, exponent, *tilt = vector[2:].reshape(-1, 4).T[..., None]
+        along = self.seen[:, 0] + tilt[0] * self.seen[:, 1] + tilt[1] * self.seen[:, 2]
+        log_cosine = np.log(np.maximum(along, 1e-6)) - 0.5 * np.log(1 + tilt[0] ** 2 + tilt[1] ** 2)
+        fall_off = 1 + vector[0] * self.squared + vector[1] * self.squared**2
+        return np.asarray(
+            level + self.known + exponent * log_cosine + np.log(np.maximum(fall_off, 0.02))
         )
 
-    def jacobian(self, vector: Array) -> Array:
-        """(L, N, P) derivatives of :meth:`logarithm`."""
-        answer = self.answer(vector)
-        jacobian = np.zeros((*self.known.shape, len(vector)))
-        fall_off = self._fall_off(answer.lens)
-        jacobian[..., 0] = self.squared / fall_off
-        jacobian[..., 1] = self.squared**2 / fall_off
-        log_cosine = self._log_cosine(answer.tilt)
-        for k, by_parameter in enumerate(jacobian):
-            tilt, exponent = answer.tilt[k], answer.exponent[k]
-            along = np.maximum(self.seen[k, 0] + tilt @ self.seen[k, 1:], 1e-6)
-            by_tilt = (self.seen[k, 1:] / along).T - tilt / (1 + tilt @ tilt)
-            by_parameter[:, 2 + 4 * k] = 1.0
-            by_parameter[:, 3 + 4 * k] = log_cosine[k]
-            by_parameter[:, 4 + 4 * k : 6 + 4 * k] = exponent * by_tilt
-        return jacobian
-
-    def aim(self, answer: Answer, k: int) -> Array:
-        """(3,) axis of LED k in the rig's frame, from the LED outwards, of unit length."""
-        axis = np.array([1.0, *answer.tilt[k]]) @ self.frames[k]
-        return np.asarray(axis / np.linalg.norm(axis))
-
-    def _log_cosine(self, tilt: Array) -> Array:
-        along = self.seen[:, 0] + np.einsum("ki,kin->kn", tilt, self.seen[:, 1:])
-        length = np.linalg.norm(tilt, axis=1)[:, None]
-        return np.asarray(np.log(np.maximum(along, 1e-6)) - 0.5 * np.log(1 + length**2))
-
-    def _fall_off(self, lens: Array) -> Array:
-        return np.asarray(np.maximum(1 + lens[0] * self.squared + lens[1] * self.squared**2, 0.02))
+    def aim(self, vector: Array, k: int) -> tuple[float, float, float]:
+        """Axis of LED k in the rig's frame, from the LED outwards, of unit length, rounded."""
+        axis = np.array([1.0, *vector[4 + 4 * k : 6 + 4 * k]]) @ self.frames[k]
+        x, y, z = (axis / np.linalg.norm(axis)).round(6).tolist()
+        return x, y, z
 
 
 def _frame(led: Led) -> Array:

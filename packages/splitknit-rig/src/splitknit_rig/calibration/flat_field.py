@@ -21,7 +21,7 @@ from splitknit import Camera, Led
 from splitknit.errors import require
 from splitknit.imaging.robust import cauchy, deviation
 from splitknit.model import Array, BoolArray
-from splitknit_rig.calibration.card_model import Answer, CardModel, CardPlane, rays_to_led
+from splitknit_rig.calibration.card_model import CardModel, CardPlane, rays_to_led
 
 # Robust least squares for the model of a white card, by scipy with weights of the card's places.
 #
@@ -35,26 +35,19 @@ _PRIOR = (0.0, 5.0, 0.0, 0.0), (0.0, 1 / 20.0, 1 / 4.0, 1 / 4.0)
 images leave open, the aim of a beam that is wide; each is worth one cell of thousands."""
 
 
-def _fit(model: CardModel, start: Array, logarithm: Array, scale: float) -> tuple[Array, Array]:
-    """Parameters that fit ln (L, N) of the images, and their covariance; `scale`: residual beyond
-    which a place counts less (Cauchy's weights)."""
+def _fit(
+    model: CardModel, start: Array, logarithm: Array, scale: float
+) -> tuple[Array, Array, Array]:
+    """Parameters that fit ln (L, N) of the images, their covariance, and the slopes (L, N, P) of
+    the model; `scale`: residual beyond which a place counts less (Cauchy's weights)."""
     vector, weight = start, np.zeros(logarithm.shape[1])
 
     def residuals(vector: Array, root: Array) -> Array:
         apart = (model.logarithm(vector) - logarithm) * root
-        expected = vector[2:].reshape(-1, 4) * 1.0
+        expected = vector[2:].reshape(-1, 4).copy()
         expected[:, 2:] *= expected[:, 1:2]
         prior = (expected - _PRIOR[0]) * _PRIOR[1]
         return np.concatenate([apart.ravel(), prior.ravel()])
-
-    def slopes(vector: Array, root: Array) -> Array:
-        rows = model.jacobian(vector) * root[:, None]
-        prior = np.zeros((model.count, 4, len(vector)))
-        for k, (_, exponent, u, v) in enumerate(vector[2:].reshape(-1, 4)):
-            by_own = np.diag([1.0, 1.0, exponent, exponent])
-            by_own[2:, 1] = u, v
-            prior[k, :, 2 + 4 * k : 6 + 4 * k] = by_own * np.array(_PRIOR[1])[:, None]
-        return np.concatenate([rows.reshape(-1, len(vector)), prior.reshape(-1, len(vector))])
 
     low, high = (model.vector(*limits) for limits in model.bounds)
     for _ in range(10):  # each with new weights of the card's places
@@ -64,9 +57,12 @@ def _fit(model: CardModel, start: Array, logarithm: Array, scale: float) -> tupl
         if float(np.abs(weight - last).max()) < 0.01:
             break
         root = np.sqrt(weight) / scale
-        vector = least_squares(residuals, vector, slopes, (low, high), args=(root,), ftol=1e-7).x
-    jacobian = slopes(vector, root)
-    return vector, np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))
+        fit = least_squares(residuals, vector, bounds=(low, high), args=(root,), ftol=1e-7)
+        vector = fit.x
+    jacobian: Array = np.asarray(fit.jac)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    slopes = jacobian[: logarithm.size].reshape(*logarithm.shape, -1) / root[:, None]
+    return vector, np.asarray(covariance), np.asarray(slopes)
 
 
 # Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with
@@ -86,15 +82,13 @@ def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Ar
     return np.asarray(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def _card_gloss(
-    model: CardModel, half_angles_deg: Array, vector: Array, rest: Array
-) -> tuple[float, float]:
+def _card_gloss(slopes: Array, half_angles_deg: Array, rest: Array) -> tuple[float, float]:
     """Brightness of the spot at the mirror's angle relative to the card's own, and its standard
     error. Least squares of the residuals (L, N), NaN where dust is, on a narrow and a wide spot and
-    on all slopes of the model; the greater spot, in its errors, is returned.
+    on all `slopes` of the model; the greater spot, in its errors, is returned.
     """
     used = np.isfinite(rest)
-    left, rows = rest[used], model.jacobian(vector)[used]
+    left, rows = rest[used], slopes[used]
     inverse, slope = np.linalg.pinv(rows.T @ rows, rcond=1e-12), rows.T @ left
     noise = float(np.sqrt(np.mean(left**2)))
     gloss = (0.0, np.inf)
@@ -174,8 +168,7 @@ def fit_flat_field(
             " brightness of its band: it did not light; check its wire and take the card again.",
         )
     scale = 0.005  # places with larger residuals count less and less: dust
-    vector, covariance = _fit(model, start, logarithm, scale)
-    answer = model.answer(vector)
+    vector, covariance, slopes = _fit(model, start, logarithm, scale)
     residual = images / np.exp(model.logarithm(vector)) - 1.0
     _check_field(1.0 + residual)
     dust = np.abs(np.median(residual, axis=0)) > 0.01 * DUST_PERCENT
@@ -185,14 +178,22 @@ def fit_flat_field(
     clean = residual[:, ~dust]
     angles = np.stack([_half_angles(camera, led, places, plane) for led in leds])
     rest = np.where(dust, np.nan, residual)
-    gloss, gloss_error = _card_gloss(model, angles, vector, rest)
-    lens, lit = _result(camera, leds, model, answer)
+    gloss, gloss_error = _card_gloss(slopes, angles, rest)
+    brightness = np.exp(vector[2::4])
     # the residuals taken as independent between cells
     errors = np.sqrt(np.diag(covariance)) * float(np.sqrt(np.mean(clean**2))) / scale
     return FlatField(
-        camera=lens,
-        leds=lit,
-        card_level=float(answer.brightness.mean()),
+        camera=replace(camera, shading=tuple(round(float(value), 6) for value in vector[:2])),
+        leds=tuple(
+            replace(
+                led,
+                intensity=round(float(brightness[k] / brightness.mean()), 6),
+                lobe_exponent=round(float(vector[3 + 4 * k]), 5),
+                aim=model.aim(vector, k),
+            )
+            for k, led in enumerate(leds)
+        ),
+        card_level=float(brightness.mean()),
         residual=residual,
         dust=dust,
         exponent_error=errors[3::4],
@@ -225,19 +226,3 @@ def _check_field(ratio: Array) -> None:
         " from an even card under all LEDs; use a clean matt white card that reaches over all"
         " borders.",
     )
-
-
-def _result(
-    camera: Camera, leds: Sequence[Led], model: CardModel, answer: Answer
-) -> tuple[Camera, tuple[Led, ...]]:
-    mean = float(answer.brightness.mean())
-    shading = tuple(round(float(value), 6) for value in answer.lens)
-    lit = []
-    for k, led in enumerate(leds):
-        x, y, z = (round(float(value), 6) for value in model.aim(answer, k))
-        intensity, exponent = (
-            round(float(answer.brightness[k]) / mean, 6),
-            round(float(answer.exponent[k]), 5),
-        )
-        lit.append(replace(led, intensity=intensity, lobe_exponent=exponent, aim=(x, y, z)))
-    return replace(camera, shading=shading), tuple(lit)

@@ -1,9 +1,8 @@
-"""Where the LEDs are: from a nail's shadow tips, or the rig's drawing; and files of lights."""
+"""Where the LEDs are: from a nail's shadow tips, and files of lights."""
 
 from __future__ import annotations
 
 import hashlib
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,25 +15,16 @@ from splitknit.files import read_bytes
 from splitknit.findings import Finding, worst_first
 from splitknit.imaging.view import plane_points
 from splitknit.io.light_list import LIST_TITLE, write_light_list
-from splitknit.io.provenance import plain_json, provenance
+from splitknit.io.provenance import plain_json
 from splitknit.io.targets import check_file
 from splitknit.model import Progress, no_progress
 from splitknit.nominal import side_lights
-from splitknit_rig.calibration.lights import (
-    BANDS,
-    LEDS_PER_BAND,
-    Circle,
-    combine,
-    read_tips,
-)
+from splitknit_rig.calibration.lights import Circle, read_tips
 from splitknit_rig.calibration.lights_found import (
-    CalibratedLed,
     CalibratedLights,
     LightsOfNail,
     Rules,
     lights_of_tips,
-    point_of,
-    rig_of,
 )
 from splitknit_rig.calibration.nail_photos import tips_of_photos
 from splitknit_rig.calibration.written import check_rig_file
@@ -114,33 +104,6 @@ def led_circle(
         height_mm=float(array[:, 2].mean()) if height_cm is None else 10.0 * height_cm,
         centre_mm=centre,
     )
-
-
-def lights_as_drawn(
-    rig: Rig, circle: Circle, out: Path, *, first_azimuth_deg: float
-) -> CalibratedLights:
-    """Write a rig whose LEDs are where the drawing has them: white and NIR in turn on the circle,
-    14 in equal steps."""
-    estimates = {}
-    leds = []
-    for nir, band in enumerate(BANDS):
-        for led in range(LEDS_PER_BAND):
-            azimuth = (
-                math.radians(first_azimuth_deg) + 2.0 * math.pi * (led + 0.5 * nir) / LEDS_PER_BAND
-            )
-            x = circle.centre_mm[0] + circle.radius_mm * math.cos(azimuth)
-            y = circle.centre_mm[1] + circle.radius_mm * math.sin(azimuth)
-            place = (x, y, circle.height_mm)
-            estimate = combine(band, led, np.array([place]), circle)
-            estimates[band, led] = estimate
-            leds.append(
-                CalibratedLed(band, led, point_of(estimate.direction), place, verdict="nominal")
-            )
-    origin = plain_json(provenance({"circle": circle, "first_azimuth_deg": first_azimuth_deg}))
-    rig = rig_of(estimates, rig, {"method": "geometry", "provenance": origin})
-    lights = CalibratedLights("geometry", tuple(leds), rig, out=out)
-    write_lights(lights)
-    return lights
 
 
 def is_list(out: Path) -> bool:

@@ -57,8 +57,7 @@ class CalibratedLed:
     disagreement_deg: float | None = None
     """Largest angle between the directions of two nail positions; None where one was measured."""
     verdict: str = UNCHECKED
-    """``ok``, ``disagrees``, ``copied``, ``off the circle``, ``unchecked``, or ``nominal`` for the
-    drawing's."""
+    """``ok``, ``disagrees``, ``copied``, ``off the circle`` or ``unchecked``."""
     kept: bool = True
     interval_deg: float | None = None
     """Half of the 95 % interval, of the joint fit; so `interval_mm`."""
@@ -74,8 +73,7 @@ class CalibratedLights:
     """Where the lights of a rig are."""
 
     method: str
-    """``circle`` or ``joint`` (a nail's shadows), ``chrome`` or ``grey`` (a ball), or ``geometry``
-    (the drawing)."""
+    """``circle`` or ``joint`` (a nail's shadows), ``chrome`` or ``grey`` (a ball)."""
     leds: tuple[CalibratedLed, ...]
     rig: Rig
     """With these lights, as it is written."""
@@ -92,10 +90,7 @@ class CalibratedLights:
 
     def lines(self) -> list[str]:
         """What the method found, for people."""
-        return [
-            f"{len(self.leds)} LEDs where the drawing has them, not measured; written to"
-            f" {self.out}."
-        ]
+        raise NotImplementedError
 
     def written_line(self) -> str:
         """The file that was written, or how to have one."""

@@ -24,14 +24,12 @@ from splitknit.findings import Finding
 from splitknit.imaging.pixels import GREY_WEIGHTS, block_means, pick_channel
 from splitknit.imaging.robust import deviation
 from splitknit.io.capture import with_rig
-from splitknit.io.images import write_image
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.model import Array, BoolArray, Films, FloatArray, Progress, no_progress
 from splitknit.observation.films import crossed_place
 from splitknit.observation.light import Light
 from splitknit_rig.calibration.radiometry import rounded
-from splitknit_rig.calibration.radiometry_folder import residual_tile
-from splitknit_rig.calibration.written import check_picture, check_rig_file
+from splitknit_rig.calibration.written import check_rig_file
 
 _LEAK_ERROR = 2.5e-4
 """Half of the largest error of what is left of the specular light. Chosen on: simulated objects
@@ -43,12 +41,10 @@ def films_to_file(
     out: Path,
     *,
     rig: Path | None = None,
-    residuals: Path | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Measure the films by the photographs in `folder`, and write them into the rig file `out`."""
     check_rig_file(out)
-    check_picture(residuals, folder)
     progress("card", 0.0)
     captures = {}
     for name in ("card", "ball"):
@@ -65,7 +61,7 @@ def films_to_file(
         f"{folder / 'ball'} has other LEDs or another size than {folder / 'card'}; use the same for"
         " both.",
     )
-    films, facts, residual_maps = naming(folder / "card", lambda: measure_card(card))
+    films, facts = naming(folder / "card", lambda: measure_card(card))
     progress("ball", 0.4)
     light = naming(folder / "ball", lambda: measure_ball(ball, films))
     both = light[:, 0, 0] + light[:, 1, 0]
@@ -91,9 +87,6 @@ def films_to_file(
         for file, digest in capture.hashes.items()
     }
     facts |= provenance({}, hashes)
-    if residuals is not None:
-        tiles = [residual_tile(100 * part, np.isnan(part), part.shape) for part in residual_maps]
-        write_image(residuals, np.concatenate(tiles, axis=1))
     write_rig(
         replace(
             card.rig,
@@ -103,8 +96,7 @@ def films_to_file(
         out,
     )
     progress("done", 1.0)
-    files = [str(file) for file in (out, residuals) if file is not None]
-    return {**facts, "films": plain_json(asdict(films)), "out": str(out), "files": files}
+    return {**facts, "films": plain_json(asdict(films)), "out": str(out)}
 
 
 def _series(capture: Capture) -> tuple[Light, Light]:
@@ -137,10 +129,9 @@ def _grey(light: Light, k: int) -> FloatArray:
 # The card: where the crossed image lies, and its brightness.
 
 
-def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
-    """Films (image shift and brightness, no leak yet) by a printed matt card; errors and residuals;
-    and L arrays (h, w) of what is left of crossed over parallel, NaN in the dark. BadInput if the
-    card has no print, is clipped, or moved.
+def measure_card(card: Capture) -> tuple[Films, dict[str, Any]]:
+    """Films (image shift and brightness, no leak yet) by a printed matt card; errors and residuals.
+    BadInput if the card has no print, is clipped, or moved.
     """
     near, far = _series(card)
     some = (0, near.photographs // 2)
@@ -197,11 +188,7 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
         ],
     }
     rows = tuple(tuple(map(rounded, row.tolist())) for row in brightness)
-    return (
-        replace(films, leds=tuple(group[0] for group in near.lights), brightness=rows),
-        facts,
-        residuals,
-    )
+    return replace(films, leds=tuple(group[0] for group in near.lights), brightness=rows), facts
 
 
 def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:

@@ -189,8 +189,8 @@ class RadiometricCalibration:
     flat_field: FlatField
     images: CardImages
     facts: Mapping[str, Any]
-    """What is stored in the rig's provenance: plain JSON; of a rig that was written also ``out``
-    and ``files``."""
+    """What is stored in the rig's provenance: plain JSON; of a rig that was written also
+    ``out``."""
     findings: tuple[Finding, ...]
     base_tilt: bool = False
     """Whether the card was taken to lie as the rig's base does."""

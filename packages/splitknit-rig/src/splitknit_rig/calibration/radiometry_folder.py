@@ -7,17 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 from msgspec import Meta, Struct
 
 from splitknit import Capture, Rig, read_capture, read_rig, write_rig
 from splitknit.errors import naming, require
 from splitknit.io.fields import Version1, inside, read_document
-from splitknit.io.images import write_image
-from splitknit.io.pictures import ColourArray, colour
 from splitknit.io.provenance import file_hash, provenance
-from splitknit.model import Array, FloatArray, PixelArray, Progress, no_progress
+from splitknit.model import Array, PixelArray, Progress, no_progress
 from splitknit.observation.light import FULL_SCALE
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.nail_photos import image_of_size
@@ -32,7 +29,7 @@ from splitknit_rig.calibration.radiometry import (
     rounded,
 )
 from splitknit_rig.calibration.sensor import MIN_EXPOSURES, fit_response
-from splitknit_rig.calibration.written import check_picture, check_rig_file
+from splitknit_rig.calibration.written import check_rig_file
 
 
 def calibrate_to_file(
@@ -43,13 +40,11 @@ def calibrate_to_file(
     limit_percent: float | None = None,
     card_height_mm: float = 0.0,
     card_tilt_deg: tuple[float, float] | None = None,
-    residuals: Path | None = None,
     progress: Progress = no_progress,
 ) -> RadiometricCalibration:
     """Calibrate a rig with a card, and write it; BadInput names the folder or file at fault, and
     nothing is written."""
     check_rig_file(out)
-    check_picture(residuals, folder)
     progress("reading", 0.0)
     capture = read_capture(folder)
     rig = capture.rig if rig_file is None else read_rig(rig_file)
@@ -68,15 +63,12 @@ def calibrate_to_file(
     }
     progress("writing", 0.9)
     rig = replace(calibration.rig, provenance={**calibration.rig.provenance, PROVENANCE: facts})
-    if residuals is not None:
-        write_image(residuals, _residual_picture(calibration))
     write_rig(rig, out)
     progress("done", 1.0)
-    files = [str(file) for file in (out, residuals) if file is not None]
     return replace(
         calibration,
         rig=rig,
-        facts={**facts, "out": str(out), "files": files},
+        facts={**facts, "out": str(out)},
         base_tilt=card_tilt_deg is None,
     )
 
@@ -107,40 +99,6 @@ def check_folder(
     progress("comparing", 0.7)
     return naming(
         f"{rig_file} and {folder}", lambda: check_card(capture, rig, limit_percent or DRIFT_PERCENT)
-    )
-
-
-def _residual_picture(calibration: RadiometricCalibration) -> ColourArray:
-    """Residuals of every LED, a band a row: blue 2 % darker than the model, orange 2 % brighter,
-    black left out."""
-    flat = calibration.flat_field
-    rows: dict[str, list[ColourArray]] = {}
-    for led, residual in zip(flat.leds, flat.residual, strict=True):
-        rows.setdefault(led.band, []).append(
-            residual_tile(100 * residual, flat.dust, calibration.images.shape)
-        )
-    widest = max(map(len, rows.values()))
-    blank = np.full_like(rows[flat.leds[0].band][0], 255)
-    bands = [
-        np.concatenate(tiles + [blank] * (widest - len(tiles)), axis=1) for tiles in rows.values()
-    ]
-    return np.concatenate(bands, axis=0)
-
-
-_RESIDUAL_TILE_PX = 240  # width of one LED's residuals
-
-
-def residual_tile(residual: Any, dust: Any, shape: tuple[int, int]) -> ColourArray:
-    """Residuals of one light in per cent, as a picture: blue too dark, orange too bright by 2 %,
-    black where unused."""
-    values: FloatArray = np.asarray(residual, dtype=np.float32).reshape(shape)
-    small = colour(values, -2.0, 2.0, diverging=True)
-    small[np.asarray(dust).reshape(shape)] = 0
-    size = (_RESIDUAL_TILE_PX, round(_RESIDUAL_TILE_PX * shape[0] / shape[1]))
-    tile = np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
-    return np.asarray(
-        cv2.copyMakeBorder(tile, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=(255, 255, 255)),
-        dtype=np.uint8,
     )
 
 

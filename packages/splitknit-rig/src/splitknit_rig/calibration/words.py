@@ -117,7 +117,7 @@ def radiometry_lines(facts: Mapping[str, Any], *, base_tilt: bool) -> list[str]:
             f"The card is taken to lie as the camera's calibration found the base: {x:.2f}, {y:.2f}"
             " deg."
         )
-    lines.append(f"Written: {', '.join(facts['files'])}.")
+    lines.append(f"Written: {facts['out']}.")
     return lines
 
 
@@ -138,4 +138,4 @@ def film_lines(facts: Mapping[str, Any]) -> list[str]:
         f"{max(facts['shift_interval_px']):.3f} px), and is {films['scale']:.5f} times its size."
     )
     lines += [f"Please note: {finding['message']}" for finding in facts["findings"]]
-    return [*lines, f"Written: {', '.join(facts['files'])}."]
+    return [*lines, f"Written: {facts['out']}."]

@@ -100,11 +100,6 @@ class BoardScene(GroundScene):
         """Where the board lies."""
         return facing_plane(self.rotation_vector, self.translation_mm)
 
-    def truth_corners(self) -> Array:
-        """(rows * columns, 2) column and row of the inner corners, in the order of
-        :meth:`PrintedBoard.corners_mm`."""
-        return seen_at(self.camera, self.plane.points(*self.board.corners_mm().T))
-
     def albedo(self, u: Array, v: Array) -> Array:
         """Reflectance (h, w): ink, paper, and cloth around them."""
         board, axes = self.board, ((u, steps(u)), (-v, steps(v)))

@@ -281,10 +281,6 @@ class SphereScene(_SolidScene):
             normals = unit(unit(places - points) + unit(self._towards_camera(points)))
         return self.middle_mm + self.radius_mm * normals
 
-    def highlights_px(self) -> Array:
-        """(L, 2) column and row of :meth:`highlights_mm`."""
-        return seen_at(self.camera, self.highlights_mm())
-
     def fraction_lit(self, led: Led) -> Array:
         """Fraction (H, W) of the LED's face that the base sees past the ball."""
         fraction = np.ones(self.camera.image_size)

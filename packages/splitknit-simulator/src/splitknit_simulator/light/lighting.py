@@ -3,7 +3,6 @@ opaque fingers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -290,30 +289,3 @@ def irradiance(led: Led, points: Any, normal: Any) -> NDArray[Any]:
     unshadowed."""
     light, strength = towards(led, points)
     return np.asarray(strength * np.maximum(dot(light, normal), 0.0))
-
-
-# An opaque finger: matt as painted plaster, no light below the surface, no gloss.
-
-
-def render_opaque(
-    surface: SimulatedSurface, leds: Sequence[Led], albedo: float = 0.5
-) -> tuple[tuple[slice, slice], FloatArray]:
-    """Photograph a Lambertian finger of an albedo under each of L `leds`, without noise; what
-    shares an exposure (`also`) adds.
-
-    Returns the rows and columns of the finger in the frame, and (L, h, w) radiance in them, in the
-    units of the rig's intensities; zero outside the finger. Attached shadows are black; cast
-    shadows are not modelled (a finger pad casts none on itself but in its creases). J. H. Lambert,
-    Photometria, 1760.
-    """
-    require(0.0 < albedo <= 1.0, f"the albedo must lie in (0, 1], but it is {albedo}.")
-    patch = cut_out(surface)
-    light = np.stack(
-        [
-            sum(irradiance(lamp, patch.points, patch.normal) for lamp in (led, *led.also))
-            for led in leds
-        ]
-    )
-    return patch.window, np.where(patch.mask, light * np.float32(albedo / np.pi), 0.0).astype(
-        np.float32
-    )

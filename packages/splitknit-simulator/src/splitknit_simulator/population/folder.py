@@ -29,7 +29,7 @@ from splitknit.io.enrolment import (
     open_enrolment,
     plan_enrolment,
 )
-from splitknit.io.fields import read_json
+from splitknit.io.fields import converted, read_json
 from splitknit.io.provenance import file_hash, json_text, plain_json, provenance, settings_hash
 from splitknit.io.targets import check_file
 from splitknit.model import Progress, no_progress
@@ -88,12 +88,10 @@ def simulate_population(
         # prints of the population's fingers, as it was begun
         dealt: dict[str, RealPrint] | None = None
         if earlier is not None:
-            with refusing(_DAMAGED.format(out / POPULATION_FILE)):
-                dealt = {
-                    finger: RealPrint(**values)
-                    for finger, values in earlier.get("prints", {}).items()
-                }
-                require(all(real_print.sound() for real_print in dealt.values()), "")
+            file = out / POPULATION_FILE
+            dealt = converted(earlier.get("prints", {}), dict[str, RealPrint], f"{file}: prints")
+            plain = all(Path(print_.file).name == print_.file for print_ in dealt.values())
+            require(plain, _DAMAGED.format(file))
         real = choose_prints(prints, settings.seed, plan.subject_ids(), plan.fingers, dealt)
     document = {
         "format": _FORMAT,
@@ -130,7 +128,6 @@ def simulate_population(
         "sessions": enrolment.plan.sessions,
         "fingers": list(enrolment.plan.fingers),
         "prints": len(real.of_finger),
-        "prints_mirrored": sum(real_print.mirrored for real_print in real.of_finger.values()),
         "workers": workers,
         "simulated": len(waiting),
         "found": before,
@@ -242,16 +239,6 @@ class RealPrint:
     sha256: str  # hash of the file
     mirrored: bool = False  # whether the finger is the one that would leave the mirror image
 
-    def sound(self) -> bool:
-        """Whether this, read from a file, can be what was written."""
-        kinds = (type(self.file), type(self.sha256), type(self.mirrored))
-        return kinds == (str, str, bool) and Path(self.file).name == self.file
-
-    @property
-    def words(self) -> str:
-        """As a table has it."""
-        return f"{self.file}{', mirrored' * self.mirrored}"
-
 
 @dataclass(frozen=True, slots=True)
 class RealPrints:
@@ -276,7 +263,7 @@ class RealPrints:
             finger.print_settings,
             mirrored=real_print.mirrored,
         )
-        return naming(path, laid), real_print.words
+        return naming(path, laid), f"{real_print.file}{', mirrored' * real_print.mirrored}"
 
     def check(self, real_print: RealPrint) -> None:
         """Refuse a file that is not what it was when the population was begun."""

@@ -8,6 +8,7 @@ import pytest
 from bench_help import DARK_ROOM, POINTS, built, drawn, grey, lambert, parallel, seen
 from splitknit.errors import BadInput
 from splitknit.model import Led
+from splitknit_simulator.calibration_set.bench import seen_at
 from splitknit_simulator.calibration_set.flat import CardScene
 from splitknit_simulator.calibration_set.solids import SphereScene
 from splitknit_simulator.camera.lens import px_per_mm_at, slopes_of_pixels
@@ -29,7 +30,10 @@ def test_highlights_obey_the_law_of_reflection(make):
             for way in ((0, 0, 1) if make is parallel else camera, led.position_mm - point)
         )
         assert np.allclose(2 * (normal @ eye) * normal - eye, light, atol=1e-9)
-    assert np.abs(seen(things["camera"], points) - scene.highlights_px()).max() < 1e-6
+    assert (
+        np.abs(seen(things["camera"], points) - seen_at(scene.camera, scene.highlights_mm())).max()
+        < 1e-6
+    )
 
 
 def upright(scale):
@@ -47,7 +51,7 @@ def test_a_chrome_ball_shows_every_led_at_its_place_and_strength(make):
         image = grey(scene, [index])
         weight = image / image.sum()
         centroid = np.array([(weight * column).sum(), (weight * row).sum()])
-        assert np.abs(centroid - scene.highlights_px()[index]).max() < 0.05
+        assert np.abs(centroid - seen_at(scene.camera, scene.highlights_mm())[index]).max() < 0.05
         # a small mirror ball sends what it receives evenly into all directions, E R^2 / 4; at the
         # distances d and D of LED and camera (none for parallel rays) its picture is smaller by 1 +
         # R / 2d + R / 2D

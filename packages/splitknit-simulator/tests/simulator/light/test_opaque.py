@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from splitknit.model import Camera, Led
-from splitknit_simulator.light.lighting import render_opaque, white_card
+from splitknit_simulator.light.lighting import cut_out, irradiance, white_card
 from splitknit_simulator.surface import SimulatedSurface
 
 CAMERA = Camera(px_per_mm=2.0, image_size=(40, 60))
@@ -27,17 +27,18 @@ def _plane(normal=(0.0, 0.0, 1.0), mask=None):
     )
 
 
-def test_a_flat_opaque_plane_is_a_white_card():
-    window, light = render_opaque(_plane(), [LED], albedo=0.5)
-    card = white_card(CAMERA, LED, step=1)
-    np.testing.assert_allclose(light[0], 0.5 * card[window], rtol=2e-5)
+def _lit(surface, led):
+    patch = cut_out(surface)
+    return patch.window, irradiance(led, patch.points, patch.normal) / np.pi
+
+
+def test_a_flat_plane_is_a_white_card():
+    window, light = _lit(_plane(), LED)
+    np.testing.assert_allclose(light, white_card(CAMERA, LED, step=1)[window], rtol=2e-5)
 
 
 def test_light_follows_the_cosine_and_ends_in_the_attached_shadow():
     distant = Led("white", direction=(0.6, 0.0, 0.8), intensity=2.0)
-    _, facing = render_opaque(_plane((0.6, 0.0, 0.8)), [distant], albedo=1.0)
-    assert facing == pytest.approx(2.0 / np.pi)
-    _, level = render_opaque(_plane(), [distant], albedo=1.0)
-    assert level == pytest.approx(2.0 / np.pi * 0.8)
-    _, behind = render_opaque(_plane((-0.9, 0.0, np.sqrt(0.19))), [distant], albedo=1.0)
-    assert not behind.any()
+    assert _lit(_plane((0.6, 0.0, 0.8)), distant)[1] == pytest.approx(2.0 / np.pi)
+    assert _lit(_plane(), distant)[1] == pytest.approx(2.0 / np.pi * 0.8)
+    assert not _lit(_plane((-0.9, 0.0, np.sqrt(0.19))), distant)[1].any()
