@@ -51,9 +51,7 @@ def results(capture: Capture) -> dict[str, Reconstruction]:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_results_lie_on_the_input_grid(
-    results: dict[str, Reconstruction], capture: Capture, preset: str
-) -> None:
+def test_results_lie_on_the_input_grid(results, capture, preset):
     result = results[preset]
     assert result.preset == preset
     assert result.pitch_mm == pytest.approx(1 / (0.15 * 75.7), rel=1e-3)
@@ -73,18 +71,14 @@ def test_results_lie_on_the_input_grid(
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_surface_is_that_of_the_finger(
-    results: dict[str, Reconstruction], truth: Truth, preset: str
-) -> None:
+def test_the_surface_is_that_of_the_finger(results, truth, preset):
     """At a sixth of the full scale a ridge has five pixels; validation holds the accuracy at full
     scale."""
     as_accurate(preset, results[preset], truth)
 
 
 @pytest.mark.slow
-def test_the_networks_show_the_ridges_of_a_coarse_camera(
-    capture: Capture, results: dict[str, Reconstruction]
-) -> None:
+def test_the_networks_show_the_ridges_of_a_coarse_camera(capture, results):
     """At 12.9 pixels a millimetre both networks run, on a grid twice as fine."""
     fine, truth = simulate_capture(3, "whorl", TwinSettings(scale=0.17, pose=_POSE))
     result = reconstruct(fine)
@@ -105,9 +99,7 @@ def as_accurate(name: str, result: Reconstruction, truth: Truth) -> None:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_result_states_how_it_was_computed(
-    results: dict[str, Reconstruction], preset: str
-) -> None:
+def test_a_result_states_how_it_was_computed(results, preset):
     result = results[preset]
     direct = "direct light by the network" in result.facts["separation"]
     assert direct == (preset in ("pr", "pr-split", "snk"))
@@ -120,9 +112,7 @@ def test_a_result_states_how_it_was_computed(
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_result_states_its_inputs_times_and_light(
-    results: dict[str, Reconstruction], capture: Capture, preset: str
-) -> None:
+def test_a_result_states_its_inputs_times_and_light(results, capture, preset):
     result = results[preset]
     assert result.hashes == capture.hashes
     assert len(result.hashes) == 14 + 2 + 2  # images, ambient, two documents
@@ -133,7 +123,7 @@ def test_a_result_states_its_inputs_times_and_light(
 
 
 @pytest.mark.slow
-def test_progress_never_falls(capture: Capture) -> None:
+def test_progress_never_falls(capture):
     fractions: list[float] = []
     reconstruct(capture, "snk", progress=lambda _, fraction: fractions.append(fraction))
     assert fractions == sorted(fractions)
@@ -141,9 +131,7 @@ def test_progress_never_falls(capture: Capture) -> None:
 
 
 @pytest.mark.slow
-def test_the_phalange_ends_at_the_crease(
-    results: dict[str, Reconstruction], capture: Capture, truth: Truth
-) -> None:
+def test_the_phalange_ends_at_the_crease(results, capture, truth):
     result = results["ea"]
     assert result.facts["crease_found"]
     assert 20 < result.facts["crease_distance_mm"] < 30
@@ -163,7 +151,7 @@ def test_the_phalange_ends_at_the_crease(
     assert lost.sum() < 0.02 * result.mask.sum()
 
 
-def test_the_upright_frame_has_the_tip_up(results: dict[str, Reconstruction]) -> None:
+def test_the_upright_frame_has_the_tip_up(results):
     result = results["ea"]
     assert abs(np.linalg.det(result.input_from_upright) - 1) < 1e-9  # turned and moved, not scaled
     mask = result.mask.astype(np.float32)
@@ -178,9 +166,7 @@ def test_the_upright_frame_has_the_tip_up(results: dict[str, Reconstruction]) ->
     assert abs(middle[0] - middle[1]) < 4
 
 
-def test_mesh_and_heights_are_one_surface(
-    results: dict[str, Reconstruction], tmp_path: Path
-) -> None:
+def test_mesh_and_heights_are_one_surface(results, tmp_path):
     """Each vertex, taken back to the input by `input_from_upright`'s turn, is its pixel."""
     result = results["snk"]
     write_mesh(tmp_path / "m.ply", result, provenance({}, {}))
@@ -199,9 +185,7 @@ def test_mesh_and_heights_are_one_surface(
     ("quarter_turns", "tip_deg"),
     [(1, 90.0), pytest.param(2, 180.0, marks=pytest.mark.slow), (3, -90.0)],
 )
-def test_a_turned_capture_gives_the_turned_surface(
-    capture: Capture, results: dict[str, Reconstruction], quarter_turns: int, tip_deg: float
-) -> None:
+def test_a_turned_capture_gives_the_turned_surface(capture, results, quarter_turns, tip_deg):
     """Images, lights and tip turned together: the same finger, up to rounding."""
     result = reconstruct(turned(capture, quarter_turns, tip_deg), "snk")
     expected = results["snk"]
@@ -215,7 +199,7 @@ def test_a_turned_capture_gives_the_turned_surface(
 
 
 @pytest.mark.slow
-def test_a_yawed_finger_is_the_same_phalange() -> None:
+def test_a_yawed_finger_is_the_same_phalange():
     """The same finger laid down straight and turned by 17 deg: upright, its relief and outline
     agree."""
     uprights = []
@@ -238,7 +222,7 @@ def test_a_yawed_finger_is_the_same_phalange() -> None:
 
 
 @pytest.mark.slow
-def test_a_given_mask_is_used_as_it_is(capture: Capture, truth: Truth) -> None:
+def test_a_given_mask_is_used_as_it_is(capture, truth):
     """Across the crease, with a hole, and touching three borders: not a pixel is changed."""
     mask = truth["mask"].astype(bool)
     mask[100:104, 236:240] = False
@@ -269,10 +253,10 @@ def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, An
     ],
 )
 def test_one_setting_changes_one_thing(
-    capture: Capture,
-    results: dict[str, Reconstruction],
-    change: dict[str, Any],
-) -> None:
+    capture,
+    results,
+    change,
+):
     base = results["snk"]
     result = reconstruct(capture, "snk", change)
     before, after = flatten(base.settings), flatten(result.settings)
@@ -282,13 +266,13 @@ def test_one_setting_changes_one_thing(
 
 
 @pytest.mark.slow
-def test_whole_settings_replace_those_of_the_preset(capture: Capture) -> None:
+def test_whole_settings_replace_those_of_the_preset(capture):
     chosen = replace(preset_settings("ea"), cut_at_crease=False)
     result = reconstruct(capture, "ea", chosen)
     assert (result.settings, result.preset) == (asdict(chosen), "ea, changed")
 
 
-def test_a_result_is_named_after_its_settings() -> None:
+def test_a_result_is_named_after_its_settings():
     for name in PRESETS:
         settings = preset_settings(name)
         assert chosen_settings("metric", settings) == (name, PRESETS[name])
@@ -300,7 +284,7 @@ def test_a_result_is_named_after_its_settings() -> None:
     assert chosen_settings("snk", None) == ("snk", PRESETS["snk"])
 
 
-def test_the_thesis_cases_differ_as_the_thesis_says() -> None:
+def test_the_thesis_cases_differ_as_the_thesis_says():
     assert differing(PRESETS["ea"], PRESETS["pr"]) == {
         "enhance.clahe": True,
         "direct.method": "network",
@@ -313,9 +297,7 @@ def test_the_thesis_cases_differ_as_the_thesis_says() -> None:
 
 
 @pytest.mark.parametrize("preset", ["ea", "pr"])
-def test_a_surface_that_is_not_split_is_matched_by_its_height(
-    results: dict[str, Reconstruction], preset: str, tmp_path: Path
-) -> None:
+def test_a_surface_that_is_not_split_is_matched_by_its_height(results, preset, tmp_path):
     unsplit, split = results[preset], results[f"{preset}-split"]
     assert unsplit.whole
     assert not split.whole
@@ -340,7 +322,7 @@ def test_a_surface_that_is_not_split_is_matched_by_its_height(
 
 
 @pytest.mark.slow
-def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
+def test_blur_is_undone_where_the_material_is_skin(capture):
     metric = preset_settings("metric")
     assert undoes_blur(capture.material, metric.skin)
     assert not undoes_blur("opaque", metric.skin)
@@ -351,7 +333,7 @@ def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
 
 
 @pytest.mark.slow
-def test_presets_that_share_a_located_finger_are_what_they_are_alone(capture: Capture) -> None:
+def test_presets_that_share_a_located_finger_are_what_they_are_alone(capture):
     finger = located(capture, "snk")
     for preset in ("snk", "ea", "pr"):
         shared, alone = (reconstruct(source, preset) for source in (finger, capture))
@@ -364,7 +346,7 @@ def test_presets_that_share_a_located_finger_are_what_they_are_alone(capture: Ca
         reconstruct(finger, "ea", {"cut_at_crease": False})
 
 
-def test_unknown_presets_settings_and_bands_are_refused(capture: Capture) -> None:
+def test_unknown_presets_settings_and_bands_are_refused(capture):
     with pytest.raises(BadInput, match=r"no preset 'best'; known are metric, snk, pr, ea"):
         reconstruct(capture, "best")
     with pytest.raises(BadInput, match="no band 'white'"):
@@ -395,7 +377,7 @@ def lambertian_dome() -> tuple[Capture, np.ndarray]:
     return capture, height
 
 
-def test_a_matt_dome_beside_the_middle_is_measured_under_near_lights() -> None:
+def test_a_matt_dome_beside_the_middle_is_measured_under_near_lights():
     """To a micrometre without noise; the lights must be placed against the picture, not the
     window."""
     capture, height = lambertian_dome()

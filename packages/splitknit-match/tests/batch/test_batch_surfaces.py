@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,7 +38,7 @@ def assert_equal(actual: Surface, expected: Surface) -> None:
         )
 
 
-def test_surfaces_come_back_to_the_last_bit(tmp_path: Path) -> None:
+def test_surfaces_come_back_to_the_last_bit(tmp_path):
     kept, height = surface()
     file = tmp_path / "surface.npz"
     write_surface(file, kept, height)
@@ -48,7 +47,7 @@ def test_surfaces_come_back_to_the_last_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_relief_and_normals_of_their_own_come_back_too(whole: bool, tmp_path: Path) -> None:
+def test_relief_and_normals_of_their_own_come_back_too(whole, tmp_path):
     # normals of a perspective camera, and a relief that is not the surface minus the shape
     kept, height = surface()
     turned = np.where(kept.mask[..., None], kept.normals[..., ::-1], 0).astype(np.float32)
@@ -59,7 +58,7 @@ def test_relief_and_normals_of_their_own_come_back_too(whole: bool, tmp_path: Pa
 
 
 @pytest.mark.parametrize("change", [lambda p: p[:50], lambda p: p[:-1], lambda p: b"XXXX" + p[4:]])
-def test_damage_is_noticed(change, tmp_path: Path) -> None:
+def test_damage_is_noticed(change, tmp_path):
     file = tmp_path / "surface.npz"
     write_surface(file, *surface())
     file.write_bytes(change(file.read_bytes()))
@@ -70,7 +69,7 @@ def test_damage_is_noticed(change, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change", [{"height_mm": np.zeros(3)}, {"mask": np.ones(7, bool)}, {"upright_size": np.ones(3)}]
 )
-def test_arrays_that_do_not_fit_are_refused(change, tmp_path: Path) -> None:
+def test_arrays_that_do_not_fit_are_refused(change, tmp_path):
     file = tmp_path / "surface.npz"
     write_surface(file, *surface())
     write_npz(file, read_npz(file) | change)

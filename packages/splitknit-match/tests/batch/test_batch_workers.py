@@ -70,27 +70,27 @@ def when_begun(out: Path, act: Callable[[], None]) -> Iterator[threading.Event]:
 
 
 @pytest.mark.slow
-def test_tasks_here_and_in_processes_give_the_same() -> None:
+def test_tasks_here_and_in_processes_give_the_same():
     assert (
         sizes(double, range(7), HERE) == sizes(double, range(7), TWO) == [2 * k for k in range(7)]
     )
     assert sizes(double, [], TWO) == []
 
 
-def test_a_killed_process_ends_the_run_with_one_sentence() -> None:
+def test_a_killed_process_ends_the_run_with_one_sentence():
     with pytest.raises(BadInput, match="a worker was killed") as error:
         sizes(die, range(4), TWO)
     assert "run the same again" in str(error.value)
 
 
-def test_workers_are_as_many_as_memory_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_are_as_many_as_memory_holds(monkeypatch):
     assert tasks.workers_that_fit() >= 1
     monkeypatch.setattr(tasks, "WORKER_BYTES", 1 << 60)
     assert tasks.workers_that_fit() == 1
     assert sizes(threads_of, range(3), Workers(3)) == [running().threads] * 3  # in this process
 
 
-def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_package_that_is_missing_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     missing = pytest.raises(BadInput, match=r"distributed.*splitknit-match\[cluster\]")
     with missing, connected("tcp://127.0.0.1:1"):
@@ -125,7 +125,7 @@ def configured(folder: Path) -> Any:
 
 
 @pytest.fixture(scope="module")
-def tls(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path, Path]]:
+def tls(tmp_path_factory) -> Iterator[tuple[str, Path, Path]]:
     """Address of a cluster, the certificates of its CA, and those of another one."""
     distributed = pytest.importorskip("distributed")
     folder = tmp_path_factory.mktemp("tls")
@@ -177,12 +177,12 @@ def listening() -> int:
         "",
     ],
 )
-def test_other_addresses_are_refused(address: str) -> None:
+def test_other_addresses_are_refused(address):
     with pytest.raises(BadInput, match="is not the address of a scheduler"), connected(address):
         pass
 
 
-def test_code_goes_to_other_computers_only_encrypted() -> None:
+def test_code_goes_to_other_computers_only_encrypted():
     for host in (
         "people.example",
         "10.0.0.1",
@@ -200,7 +200,7 @@ def test_code_goes_to_other_computers_only_encrypted() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
-def test_a_scheduler_that_is_not_there(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_is_not_there(host, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(tasks, "PATIENCE_S", 0.5)
     refused = pytest.raises(
@@ -212,12 +212,12 @@ def test_a_scheduler_that_is_not_there(host: str, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.slow
 def test_a_cluster_is_used_by_whom_its_ca_knows(
-    tls: tuple[str, Path, Path],
-    people: Path,
-    tmp_path: Path,
-    capsys: Any,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    tls,
+    people,
+    tmp_path,
+    capsys,
+    monkeypatch,
+):
     address, good, foreign = tls
     monkeypatch.setattr(tasks, "PATIENCE_S", 10.0)
     words = f"batch {people} --cases ea --matchers none".split()
@@ -253,7 +253,7 @@ class Counted(list[int]):
             yield task
 
 
-def test_the_scheduler_is_given_few_tasks_at_a_time(tls: tuple[str, Path, Path]) -> None:
+def test_the_scheduler_is_given_few_tasks_at_a_time(tls):
     address, good, _ = tls
     values = Counted(range(20))
     with configured(good), connected(address) as client:
@@ -263,7 +263,7 @@ def test_the_scheduler_is_given_few_tasks_at_a_time(tls: tuple[str, Path, Path])
 
 
 @pytest.mark.slow
-def test_each_of_several_jobs_runs_networks_on_one_thread() -> None:
+def test_each_of_several_jobs_runs_networks_on_one_thread():
     before = running()
     assert sizes(threads_of, range(4), TWO) == [1] * 4
     assert sizes(threads_of, range(4), HERE) == [before.threads] * 4
@@ -271,8 +271,8 @@ def test_each_of_several_jobs_runs_networks_on_one_thread() -> None:
 
 
 def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(
-    tls: tuple[str, Path, Path],
-) -> None:
+    tls,
+):
     import dask
 
     address, good, foreign = tls
@@ -294,9 +294,7 @@ def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(
         pass
 
 
-def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(tmp_path, monkeypatch):
     """Commands of docs/guide/batch.md: what OpenSSL writes is taken, and Dask understands its
     options."""
     pytest.importorskip("distributed")
@@ -328,7 +326,7 @@ def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(
 
 
 @pytest.mark.slow
-def test_a_killed_worker_of_a_cluster_loses_nothing(people: Path, tmp_path: Path, caplog) -> None:
+def test_a_killed_worker_of_a_cluster_loses_nothing(people, tmp_path, caplog):
     distributed = pytest.importorskip("distributed")
     out = tmp_path / "cluster"
     with distributed.LocalCluster(
@@ -358,7 +356,7 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_the_run_and_its_processes_quietly(people: Path, tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_run_and_its_processes_quietly(people, tmp_path):
     out = tmp_path / "stopped"
     program = subprocess.Popen(
         [sys.executable, "-c", RUN, str(people), str(out)],
@@ -416,7 +414,7 @@ print("sound")
 
 
 @pytest.mark.slow
-def test_kills_at_any_moment_lose_and_change_no_byte(people: Path, tmp_path: Path) -> None:
+def test_kills_at_any_moment_lose_and_change_no_byte(people, tmp_path):
     arguments = [str(people), str(tmp_path), str(Path(__file__).parents[1])]
     process = subprocess.run(
         [sys.executable, "-c", MANY_KILLED, *arguments], capture_output=True, text=True, check=False

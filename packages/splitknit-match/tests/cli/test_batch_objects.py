@@ -25,7 +25,7 @@ def write_object(folder: Path, bend: float) -> None:
         cv2.imwrite(str(folder / f"photo_{number}.png"), image)
 
 
-def test_objects_are_reconstructed_each_into_a_folder_of_its_name(tmp_path: Path, capsys) -> None:
+def test_objects_are_reconstructed_each_into_a_folder_of_its_name(tmp_path, capsys):
     coins, out = tmp_path / "coins", tmp_path / "results"
     for number, bend in ((2, 0.3), (10, 0.5), (11, 0.4)):
         write_object(coins / f"coin_{number}", bend)
@@ -44,7 +44,7 @@ def test_objects_are_reconstructed_each_into_a_folder_of_its_name(tmp_path: Path
     assert "--cases is for fingers" in refusal_of(capsys, *words, "--cases", "ea")
 
 
-def test_a_folder_without_photographs_is_refused(tmp_path: Path, capsys) -> None:
+def test_a_folder_without_photographs_is_refused(tmp_path, capsys):
     (tmp_path / "empty" / "a").mkdir(parents=True)
     words = refusal_of(capsys, f"batch {tmp_path}/empty --out {tmp_path}/out")
     assert "or of folders of photographs" in words

@@ -24,7 +24,7 @@ PHRASE = "a phrase for tests"
 
 
 @pytest.fixture(scope="module")
-def whole(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(people_folder: Path, tmp_path_factory) -> Path:
     """Gallery of the whole population; not to be changed."""
     file = tmp_path_factory.mktemp("whole") / "people.skg"
     assert main(f"enroll {file} --population {people_folder}".split()) == 0
@@ -32,7 +32,7 @@ def whole(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 @pytest.fixture
-def gallery(whole: Path, tmp_path: Path) -> Path:
+def gallery(whole: Path, tmp_path) -> Path:
     """The same, to be changed."""
     return Path(shutil.copy(whole, tmp_path / "people.skg"))
 
@@ -42,9 +42,7 @@ def who(capsys, gallery: Path, *more: object) -> list[tuple[str, str, str]]:
     return [(capture["person"], capture["finger"], capture["session"]) for capture in captures]
 
 
-def test_a_gallery_begins_with_its_first_finger(
-    people_folder: Path, tmp_path: Path, capsys
-) -> None:
+def test_a_gallery_begins_with_its_first_finger(people_folder, tmp_path, capsys):
     source = people_folder / "S01/session_1/right_index"
     arguments = ("--person", "Zoe\u0308 Example", "--finger", "right_index")
     facts = facts_of(capsys, f"enroll {tmp_path}/g.skg {source}", *arguments)
@@ -70,7 +68,7 @@ def test_a_gallery_begins_with_its_first_finger(
 
 
 @pytest.mark.slow
-def test_several_sources_are_sessions(people_folder: Path, tmp_path: Path, capsys) -> None:
+def test_several_sources_are_sessions(people_folder, tmp_path, capsys):
     first, second = (people_folder / f"S02/session_{k}/right_index" for k in (1, 2))
     finger = ("--person", "Bob", "--finger", "right_index")
     words = words_of(capsys, f"enroll {tmp_path}/g.skg {first}/height.npz {second}", *finger)
@@ -106,7 +104,7 @@ def test_several_sources_are_sessions(people_folder: Path, tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize("grey", [0, 255])
-def test_a_print_without_ridges_is_not_enrolled(grey: int, tmp_path: Path, capsys) -> None:
+def test_a_print_without_ridges_is_not_enrolled(grey, tmp_path, capsys):
     write_print_png(tmp_path / "a.png", np.full((400, 300), grey, np.uint8))
     whose = ("--person", "Ann", "--finger", "left_ring")
     refusal = refusal_of(capsys, f"enroll {tmp_path}/g.skg {tmp_path}/a.png", *whose)
@@ -114,7 +112,7 @@ def test_a_print_without_ridges_is_not_enrolled(grey: int, tmp_path: Path, capsy
     assert not (tmp_path / "g.skg").exists()
 
 
-def test_a_failure_to_acquire_is_kept_as_such(people_folder: Path, tmp_path: Path, capsys) -> None:
+def test_a_failure_to_acquire_is_kept_as_such(people_folder, tmp_path, capsys):
     (tmp_path / "none.skt").write_bytes(b"")
     arguments = (
         "enroll",
@@ -133,9 +131,7 @@ def test_a_failure_to_acquire_is_kept_as_such(people_folder: Path, tmp_path: Pat
     assert "failure to acquire" in words_of(capsys, f"gallery list {tmp_path}/g.skg")
 
 
-def test_a_population_with_one_call(
-    people_folder: Path, whole: Path, tmp_path: Path, capsys
-) -> None:
+def test_a_population_with_one_call(people_folder, whole, tmp_path, capsys):
     assert who(capsys, whole) == [
         (person, finger, session)
         for person, finger in (
@@ -151,7 +147,7 @@ def test_a_population_with_one_call(
 
 
 @pytest.mark.slow
-def test_a_population_of_prints(people_folder: Path, tmp_path: Path, capsys) -> None:
+def test_a_population_of_prints(people_folder, tmp_path, capsys):
     for picture in people_folder.glob("*/*/*/print.png"):
         copy = tmp_path / "prints" / picture.parent.relative_to(people_folder).with_suffix(".png")
         copy.parent.mkdir(parents=True, exist_ok=True)
@@ -165,9 +161,7 @@ def test_a_population_of_prints(people_folder: Path, tmp_path: Path, capsys) -> 
     assert "are of one finger and session" in words
 
 
-def test_a_population_goes_on_where_it_was_stopped(
-    people_folder: Path, tmp_path: Path, capsys, monkeypatch
-) -> None:
+def test_a_population_goes_on_where_it_was_stopped(people_folder, tmp_path, capsys, monkeypatch):
     from splitknit_match.batch import enrol as enrolling_population
 
     file, calls = tmp_path / "g.skg", []
@@ -190,7 +184,7 @@ def test_a_population_goes_on_where_it_was_stopped(
     assert (again["known"], again["new"]) == (6, 0)
 
 
-def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path, capsys) -> None:
+def test_failures_and_damage_in_a_population(people_folder, tmp_path, capsys):
     folder, file = tmp_path / "people", tmp_path / "g.skg"
     for name in (
         "S01/session_1/left_thumb",
@@ -221,9 +215,7 @@ def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path
     assert len(who(capsys, file)) == 3
 
 
-def test_a_capture_without_a_finger_is_a_failure_not_an_error(
-    twin_folder: Path, monkeypatch
-) -> None:
+def test_a_capture_without_a_finger_is_a_failure_not_an_error(twin_folder, monkeypatch):
     from splitknit_match.gallery import gallery
 
     def refuses(path, *rest, **more):
@@ -236,7 +228,7 @@ def test_a_capture_without_a_finger_is_a_failure_not_an_error(
     assert capture.source_sha256 == gallery.source_hash(twin_folder)
 
 
-def test_a_capture_is_its_files_without_the_truth(twin_folder: Path, tmp_path: Path) -> None:
+def test_a_capture_is_its_files_without_the_truth(twin_folder, tmp_path):
     from splitknit_match.gallery.gallery import source_hash
 
     copy = Path(shutil.copytree(twin_folder, tmp_path / "copy"))
@@ -247,7 +239,7 @@ def test_a_capture_is_its_files_without_the_truth(twin_folder: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path, capsys) -> None:
+def test_workers_change_nothing(people_folder, whole, tmp_path, capsys):
     facts = facts_of(capsys, f"enroll {tmp_path}/g.skg --population {people_folder} --workers", 2)
     assert facts["new"] == 6
     for file in (whole, tmp_path / "g.skg"):
@@ -263,9 +255,7 @@ def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path
     assert serial == parallel
 
 
-def test_a_gallery_that_others_can_read_gets_a_note(
-    whole: Path, tmp_path: Path, capsys, monkeypatch
-) -> None:
+def test_a_gallery_that_others_can_read_gets_a_note(whole, tmp_path, capsys, monkeypatch):
     file = tmp_path / "g.skg"
     file.write_bytes(whole.read_bytes())
     for mode, noted in ((0o600, False), (0o644, True)):
@@ -275,7 +265,7 @@ def test_a_gallery_that_others_can_read_gets_a_note(
 
 
 @pytest.mark.slow
-def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_an_encrypted_gallery(people_folder, tmp_path, capsys, monkeypatch):
     pytest.importorskip("sqlcipher3")
     file, key = tmp_path / "g.skg", tmp_path / "key"
     key.write_text(PHRASE + "\n")
@@ -309,7 +299,7 @@ def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monke
     assert "is not encrypted; leave the key out" in refusal
 
 
-def test_what_is_removed_is_gone(gallery: Path, capsys) -> None:
+def test_what_is_removed_is_gone(gallery, capsys):
     assert b"S02" in gallery.read_bytes()
     facts = facts_of(capsys, f"gallery remove {gallery} --person S02")
     assert (facts["removed"], facts["captures"]) == (2, 4)
@@ -324,7 +314,7 @@ def test_what_is_removed_is_gone(gallery: Path, capsys) -> None:
     assert [path.name for path in gallery.parent.iterdir()] == [gallery.name]
 
 
-def test_export_and_import(gallery: Path, tmp_path: Path, capsys) -> None:
+def test_export_and_import(gallery, tmp_path, capsys):
     out = tmp_path / "out"
     assert "not encrypted" in words_of(capsys, f"gallery export {gallery} --out {out}")
     assert stat.S_IMODE(out.stat().st_mode) == 0o700
@@ -346,7 +336,7 @@ def test_export_and_import(gallery: Path, tmp_path: Path, capsys) -> None:
     assert match["similarity"] == pytest.approx(1, abs=1e-3)
 
 
-def test_a_name_is_no_formula_in_an_exported_table(gallery: Path, tmp_path: Path, capsys) -> None:
+def test_a_name_is_no_formula_in_an_exported_table(gallery, tmp_path, capsys):
     name = '=HYPERLINK("http://x","open")'
     out = tmp_path / "out"
     facts_of(capsys, f"gallery export {gallery} --out {out}")
@@ -401,9 +391,7 @@ def test_a_name_is_no_formula_in_an_exported_table(gallery: Path, tmp_path: Path
         ("templates/0003.skt", None, "line 4: .*does not exist"),
     ],
 )
-def test_a_damaged_export_is_not_imported(
-    whole: Path, tmp_path: Path, capsys, *, file, change, words
-) -> None:
+def test_a_damaged_export_is_not_imported(whole, tmp_path, capsys, *, file, change, words):
     out = tmp_path / "out"
     facts_of(capsys, f"gallery export {whole} --out {out}")
     data = (out / file).read_bytes()
@@ -415,9 +403,7 @@ def test_a_damaged_export_is_not_imported(
 
 
 @pytest.mark.parametrize("name", ["templates/0001.skt", "gallery.csv"])
-def test_an_export_with_a_link_is_not_imported(
-    whole: Path, tmp_path: Path, capsys, *, name: str
-) -> None:
+def test_an_export_with_a_link_is_not_imported(whole, tmp_path, capsys, *, name):
     out, away = tmp_path / "out", tmp_path / "away"
     facts_of(capsys, f"gallery export {whole} --out {out}")
     away.mkdir()
@@ -477,9 +463,7 @@ def test_an_export_with_a_link_is_not_imported(
         ("gallery import NEW FOLDER", "is not an export"),
     ],
 )
-def test_bad_input_is_one_sentence(
-    people_folder: Path, whole: Path, tmp_path, capsys, *, arguments, words
-) -> None:
+def test_bad_input_is_one_sentence(people_folder, whole, tmp_path, capsys, *, arguments, words):
     (tmp_path / "TEXT").write_text("hello")
     (tmp_path / "FOLDER").mkdir()
     names = {"SOURCE": people_folder / "S02/session_1/right_index", "WHOLE": whole}

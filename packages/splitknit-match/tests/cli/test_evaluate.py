@@ -54,7 +54,7 @@ def write_population(
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     """Score files: ours.csv, theirs.csv (the same pairs), plain.csv (no ids), hand.csv."""
     here = tmp_path_factory.mktemp("scores")
     write_population(here / "ours.csv")
@@ -71,7 +71,7 @@ def report(out: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_a_file_of_labels_and_scores(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_a_file_of_labels_and_scores(folder, tmp_path, capsys):
     out = tmp_path / "out"
     assert main([*f"evaluate --scores {folder}/hand.csv --out {out}".split(), *QUICK]) == 0
     output = capsys.readouterr()
@@ -100,7 +100,7 @@ def test_a_file_of_labels_and_scores(folder: Path, tmp_path: Path, capsys: Captu
     ]
 
 
-def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_figures_are_those_of_the_scores(folder, tmp_path, capsys):
     out = tmp_path / "out"
     assert (
         main([*f"evaluate --scores {folder}/ours.csv --out {out}".split(), *QUICK, "--json"]) == 0
@@ -132,7 +132,7 @@ def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: C
     )
 
 
-def test_the_page_needs_nothing_else(folder: Path, tmp_path: Path) -> None:
+def test_the_page_needs_nothing_else(folder, tmp_path):
     out = tmp_path / "out"
     assert main([*f"evaluate --scores {folder}/ours.csv --out {out}".split(), *QUICK]) == 0
     page = (out / "report.html").read_text()
@@ -141,9 +141,7 @@ def test_the_page_needs_nothing_else(folder: Path, tmp_path: Path) -> None:
     assert "nan" not in re.sub(r'"data:[^"]*"', "", page).lower() and "None" not in page
 
 
-def test_without_matplotlib_the_page_has_no_curves(
-    folder: Path, tmp_path: Path, monkeypatch
-) -> None:
+def test_without_matplotlib_the_page_has_no_curves(folder, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     out = tmp_path / "out"
     assert main([*f"evaluate --scores {folder}/hand.csv --out {out}".split(), *QUICK]) == 0
@@ -152,7 +150,7 @@ def test_without_matplotlib_the_page_has_no_curves(
 
 
 @pytest.mark.slow
-def test_same_input_same_report_but_for_date_and_time(folder: Path, tmp_path: Path) -> None:
+def test_same_input_same_report_but_for_date_and_time(folder, tmp_path):
     outs = [tmp_path / name for name in ("a", "b", "c")]
     for out, seed in zip(outs, ("3", "3", "4"), strict=True):
         done = main(
@@ -171,7 +169,7 @@ def test_same_input_same_report_but_for_date_and_time(folder: Path, tmp_path: Pa
     assert pages[0] == pages[1]  # the curves as well
 
 
-def test_two_files_are_compared_pair_by_pair(folder: Path, tmp_path: Path) -> None:
+def test_two_files_are_compared_pair_by_pair(folder, tmp_path):
     out, files = tmp_path / "out", [str(folder / "ours.csv"), str(folder / "theirs.csv")]
     assert main(["evaluate", "--scores", *files, "--out", str(out), *QUICK]) == 0
     facts = report(out)
@@ -191,7 +189,7 @@ def test_two_files_are_compared_pair_by_pair(folder: Path, tmp_path: Path) -> No
     assert set(facts["inputs_sha256"]) == set(files)
 
 
-def test_systems_of_other_pairs_are_not_compared(folder: Path, tmp_path: Path) -> None:
+def test_systems_of_other_pairs_are_not_compared(folder, tmp_path):
     files = [str(folder / "ours.csv"), str(folder / "hand.csv")]
     assert main(["evaluate", "--scores", *files, "--out", str(tmp_path / "out"), *QUICK]) == 0
     facts = report(tmp_path / "out")
@@ -201,7 +199,7 @@ def test_systems_of_other_pairs_are_not_compared(folder: Path, tmp_path: Path) -
     )
 
 
-def test_files_of_one_name_are_distinguished(folder: Path, tmp_path: Path) -> None:
+def test_files_of_one_name_are_distinguished(folder, tmp_path):
     (tmp_path / "hand.csv").write_text(HAND.replace("0.3", "0.6"))
     files = [str(folder / "hand.csv"), str(tmp_path / "hand.csv")]
     assert (
@@ -227,7 +225,7 @@ def test_files_of_one_name_are_distinguished(folder: Path, tmp_path: Path) -> No
     )
 
 
-def test_the_function_takes_one_file_or_several(folder: Path) -> None:
+def test_the_function_takes_one_file_or_several(folder):
     evaluation = splitknit_match.evaluate(
         folder / "ours.csv", bootstrap=BootstrapSettings(replicates=20)
     )
@@ -238,7 +236,7 @@ def test_the_function_takes_one_file_or_several(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_distances_are_turned_round(folder: Path, tmp_path: Path) -> None:
+def test_distances_are_turned_round(folder, tmp_path):
     for name, more in (("distances", ["--dissimilarity"]), ("ours", []), ("distances", [])):
         out = tmp_path / f"{name}{len(more)}"
         assert (
@@ -254,7 +252,7 @@ def test_distances_are_turned_round(folder: Path, tmp_path: Path) -> None:
     assert "turned round" in (tmp_path / "distances1" / "report.html").read_text()
 
 
-def test_what_is_drawn_can_be_chosen(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_what_is_drawn_can_be_chosen(folder, tmp_path, capsys):
     arguments = [*f"evaluate --scores {folder}/ours.csv --out {tmp_path}/out".split(), *QUICK]
     assert main([*arguments, "--cluster", "subject"]) == 0
     facts = report(tmp_path / "out")
@@ -266,7 +264,7 @@ def test_what_is_drawn_can_be_chosen(folder: Path, tmp_path: Path, capsys: Captu
     assert not (tmp_path / "no").exists()
 
 
-def test_averaged_and_not(folder: Path, tmp_path: Path) -> None:
+def test_averaged_and_not(folder, tmp_path):
     arguments = [*f"evaluate --scores {folder}/ours.csv --out {tmp_path}/out".split(), *QUICK]
     assert main([*arguments, "--average-sessions"]) == 0
     facts = report(tmp_path / "out")
@@ -285,9 +283,7 @@ def test_averaged_and_not(folder: Path, tmp_path: Path) -> None:
         ("label,score,finger_a,finger_b\n1,2,x,x\n0,1,x,x\n", "line 3: label and ids"),
     ],
 )
-def test_bad_files_give_one_sentence(
-    tmp_path: Path, capsys: Captured, text: str, words: str
-) -> None:
+def test_bad_files_give_one_sentence(tmp_path, capsys, text, words):
     path, out = tmp_path / "bad.csv", tmp_path / "out"
     path.write_text(text)
     assert main([*f"evaluate --scores {path} --out {out}".split(), *QUICK]) == 2
@@ -301,7 +297,7 @@ def test_bad_files_give_one_sentence(
     assert not out.exists() and sorted(tmp_path.iterdir()) == [path]
 
 
-def test_other_bad_requests(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_other_bad_requests(folder, tmp_path, capsys):
     hand, out = str(folder / "hand.csv"), str(tmp_path / "out")
     requests = {
         "does not exist": ["--scores", str(tmp_path / "none.csv"), "--out", out],
@@ -321,7 +317,7 @@ def test_other_bad_requests(folder: Path, tmp_path: Path, capsys: Captured) -> N
 
 
 @pytest.mark.slow
-def test_scores_without_spread(tmp_path: Path) -> None:
+def test_scores_without_spread(tmp_path):
     (tmp_path / "same.csv").write_text("label,score\n1,5\n1,5\n0,5\n0,5\n")
     out = tmp_path / "out"
     assert main([*f"evaluate --scores {tmp_path}/same.csv --out {out}".split(), *QUICK]) == 0

@@ -32,7 +32,7 @@ MINUTIAE = {"iso-19794-2": "iso", "ansi-378": "fmr", "ansi-378-2009": "fmr"}
 
 
 @pytest.fixture(scope="module")
-def prints(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def prints(tmp_path_factory) -> Path:
     """Two presses of a finger and one of another, 500 ppi, and the first at 1000 ppi."""
     folder = tmp_path_factory.mktemp("prints")
     write_print_png(folder / "a.png", spiral_print())
@@ -43,7 +43,7 @@ def prints(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def export(
-    capsys, tmp_path: Path, to: str, *sources: object, out: str = "out", **options: object
+    capsys, tmp_path, to: str, *sources: object, out: str = "out", **options: object
 ) -> dict:
     flags = [word for name, value in options.items() for word in (f"--{name}", value)]
     return facts_of(capsys, "export", *sources, "--to", to, "--out", tmp_path / out, *flags)
@@ -59,9 +59,7 @@ def enroll(capsys, gallery: Path, source: Path, person: str) -> None:
 
 
 @pytest.mark.parametrize("to", MINUTIAE)
-def test_prints_become_records_in_one_command(
-    prints: Path, tmp_path: Path, capsys, to: str
-) -> None:
+def test_prints_become_records_in_one_command(prints, tmp_path, capsys, to):
     sources = prints / "a.png", prints / "fine.png"
     facts = export(capsys, tmp_path, to, *sources, finger="left_thumb")
     names = [file["file"] for file in facts["files"]]
@@ -79,7 +77,7 @@ def test_prints_become_records_in_one_command(
 
 
 @pytest.mark.parametrize("to", PICTURES)
-def test_an_exported_picture_is_read_back(prints: Path, tmp_path: Path, capsys, to: str) -> None:
+def test_an_exported_picture_is_read_back(prints, tmp_path, capsys, to):
     lossy = to == "wsq"
     if lossy:
         pytest.importorskip("_wsq")
@@ -96,7 +94,7 @@ def test_an_exported_picture_is_read_back(prints: Path, tmp_path: Path, capsys, 
 
 
 @pytest.mark.slow
-def test_other_programs_read_exported_pictures(prints: Path, tmp_path: Path, capsys) -> None:
+def test_other_programs_read_exported_pictures(prints, tmp_path, capsys):
     """Pillow with the package wsq, and tifffile."""
     pytest.importorskip("wsq")
     for to in PICTURES:
@@ -110,7 +108,7 @@ def test_other_programs_read_exported_pictures(prints: Path, tmp_path: Path, cap
 
 
 @pytest.mark.slow
-def test_records_of_all_kinds_are_matched(prints: Path, tmp_path: Path, capsys) -> None:
+def test_records_of_all_kinds_are_matched(prints, tmp_path, capsys):
     sources = [prints / f"{name}.png" for name in ("a", "again", "other")]
     for to, out in (("iso-19794-2", "iso"), ("ansi-378", "ansi"), ("iso-19794-4", "fir")):
         export(capsys, tmp_path, to, *sources, out=out)
@@ -134,7 +132,7 @@ def test_records_of_all_kinds_are_matched(prints: Path, tmp_path: Path, capsys) 
 
 
 @pytest.mark.slow
-def test_a_gallery_of_minutiae(prints: Path, tmp_path: Path, capsys) -> None:
+def test_a_gallery_of_minutiae(prints, tmp_path, capsys):
     export(capsys, tmp_path, "iso-19794-2", prints / "a.png", prints / "other.png", out="iso")
     gallery = tmp_path / "m.skg"
     enroll(capsys, gallery, tmp_path / "iso" / "a.iso", "Ann")
@@ -157,7 +155,7 @@ def test_a_gallery_of_minutiae(prints: Path, tmp_path: Path, capsys) -> None:
     assert "a database, such as a gallery" in refusal
 
 
-def test_ridges_and_minutiae_are_not_mixed(prints: Path, tmp_path: Path, capsys) -> None:
+def test_ridges_and_minutiae_are_not_mixed(prints, tmp_path, capsys):
     export(capsys, tmp_path, "iso-19794-2", prints / "a.png", out="iso")
     record = tmp_path / "iso" / "a.iso"
     ridges = tmp_path / "r.skg"
@@ -168,7 +166,7 @@ def test_ridges_and_minutiae_are_not_mixed(prints: Path, tmp_path: Path, capsys)
 
 
 @pytest.mark.slow
-def test_export_and_print_of_a_result_agree(people_folder: Path, tmp_path: Path, capsys) -> None:
+def test_export_and_print_of_a_result_agree(people_folder, tmp_path, capsys):
     result = people_folder / "S01" / "session_1" / "right_index"
     facts_of(capsys, f"print {result} --out {tmp_path}/print")
     export(capsys, tmp_path, "iso-19794-2", result, tmp_path / "print")
@@ -180,7 +178,7 @@ def test_export_and_print_of_a_result_agree(people_folder: Path, tmp_path: Path,
     np.testing.assert_array_equal(image, read_print_png(tmp_path / "print" / "print.png").image)
 
 
-def test_prints_are_imported(prints: Path, tmp_path: Path, capsys) -> None:
+def test_prints_are_imported(prints, tmp_path, capsys):
     records = [type_14(spiral_print(), FGP=finger) for finger in (b"6", b"1")]
     two = tmp_path / "two.an2"
     two.write_bytes(transaction(*records))
@@ -198,7 +196,7 @@ def test_prints_are_imported(prints: Path, tmp_path: Path, capsys) -> None:
     assert "holds 2 prints; take them apart with 'splitknit import'" in refusal
 
 
-def test_a_print_is_printed_at_500_ppi(prints: Path, tmp_path: Path, capsys) -> None:
+def test_a_print_is_printed_at_500_ppi(prints, tmp_path, capsys):
     facts = facts_of(capsys, f"print {prints}/fine.png --out {tmp_path}/out")
     assert (facts["method"], facts["size"], facts["ppi"]) == ("file", [500, 380], 500)
     assert facts["findings"] == []
@@ -213,16 +211,14 @@ def test_a_print_is_printed_at_500_ppi(prints: Path, tmp_path: Path, capsys) -> 
 
 
 @pytest.mark.parametrize("to", ["png", "iso-19794-2"])
-def test_an_export_does_not_depend_on_the_other_sources(
-    prints: Path, tmp_path: Path, capsys, to: str
-) -> None:
+def test_an_export_does_not_depend_on_the_other_sources(prints, tmp_path, capsys, to):
     export(capsys, tmp_path, to, prints / "again.png", prints / "a.png", out="both")
     export(capsys, tmp_path, to, prints / "a.png", out="alone")
     name = f"a.{(PICTURES | MINUTIAE)[to]}"
     assert (tmp_path / "both" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
 
 
-def test_prints_without_ridges_are_failures_to_acquire(tmp_path: Path, capsys) -> None:
+def test_prints_without_ridges_are_failures_to_acquire(tmp_path, capsys):
     blank = tmp_path / "blank.png"
     write_print_png(blank, np.full((300, 300), 255, np.uint8))
     facts = export(capsys, tmp_path, "iso-19794-2", blank)
@@ -254,8 +250,8 @@ def test_prints_without_ridges_are_failures_to_acquire(tmp_path: Path, capsys) -
     ],
 )
 def test_bad_input_is_one_sentence_and_writes_nothing(  # noqa: PLR0917
-    prints: Path, tmp_path: Path, capsys, monkeypatch, command: str, refusal: str
-) -> None:
+    prints, tmp_path, capsys, monkeypatch, command, refusal
+):
     export(capsys, tmp_path, "iso-19794-2", prints / "a.png", out="iso")
     (tmp_path / "iso" / "a.iso").rename(tmp_path / "a.iso")
     (tmp_path / "a.png").write_bytes((prints / "a.png").read_bytes())
@@ -266,14 +262,14 @@ def test_bad_input_is_one_sentence_and_writes_nothing(  # noqa: PLR0917
     assert not (tmp_path / "out").exists()
 
 
-def test_every_format_that_is_written_is_tested() -> None:
+def test_every_format_that_is_written_is_tested():
     written = {name for name, form in FORMATS.items() if form.encode is not None}
     assert written == set(PICTURES) | set(MINUTIAE)
     assert set(get_args(PrintFormat)) == {*written, "stl", "obj", "glb", "maps", "lp"}
 
 
 @pytest.mark.slow
-def test_an_exported_mesh_equals_the_phalange(tmp_path: Path, capsys) -> None:
+def test_an_exported_mesh_equals_the_phalange(tmp_path, capsys):
     trimesh = pytest.importorskip("trimesh")
     results = write_impressions(tmp_path, 0.06, 721, FingerPose())
     write_mesh(tmp_path / "a.ply", read_result(results / "a"), provenance({}, {}))
@@ -298,7 +294,7 @@ def test_an_exported_mesh_equals_the_phalange(tmp_path: Path, capsys) -> None:
     np.testing.assert_allclose(light, ply.quality, atol=6e-3)
 
 
-def test_an_object_becomes_a_solid_a_model_and_maps(tmp_path: Path, capsys) -> None:
+def test_an_object_becomes_a_solid_a_model_and_maps(tmp_path, capsys):
     trimesh = pytest.importorskip("trimesh")
     coin = tmp_path / "coin"
     result, _ = handmade.finger(px_per_mm=5.0, size=(110, 160))
@@ -316,14 +312,14 @@ def test_an_object_becomes_a_solid_a_model_and_maps(tmp_path: Path, capsys) -> N
         assert "is of --to" in refusal
 
 
-def test_records_state_quality_and_owner(prints: Path, tmp_path: Path, capsys) -> None:
+def test_records_state_quality_and_owner(prints, tmp_path, capsys):
     facts = export(capsys, tmp_path, "iso-39794-4", prints / "a.png", owner="0x0123")
     assert facts["files"][0]["quality"] > 40
     export(capsys, tmp_path, "ansi-378", prints / "a.png", out="ansi", owner="0x0123")
     assert (tmp_path / "ansi" / "a.fmr").read_bytes()[10:12] == b"\x01\x23"
 
 
-def test_a_record_is_described_with_what_it_holds(prints: Path, tmp_path: Path, capsys) -> None:
+def test_a_record_is_described_with_what_it_holds(prints, tmp_path, capsys):
     export(capsys, tmp_path, "iso-19794-2", prints / "a.png", out="iso")
     record = tmp_path / "iso" / "a.iso"
     facts = facts_of(capsys, f"records what {record}")
@@ -340,7 +336,7 @@ def test_a_record_is_described_with_what_it_holds(prints: Path, tmp_path: Path, 
     assert "damage" in both[1]
 
 
-def test_files_that_are_no_records_are_described(prints: Path, tmp_path: Path, capsys) -> None:
+def test_files_that_are_no_records_are_described(prints, tmp_path, capsys):
     facts_of(capsys, f"match {prints}/a.png --template {tmp_path}/a.skt")
     (tmp_path / "x").write_bytes(b"GIF89a")
     for name, what in (("a.skt", "template of splitknit"), ("x", "of an unknown kind")):

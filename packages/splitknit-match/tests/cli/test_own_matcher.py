@@ -32,13 +32,13 @@ def broken():
 
 
 @pytest.fixture(autouse=True)
-def module(tmp_path: Path, monkeypatch) -> None:
+def module(tmp_path, monkeypatch) -> None:
     (tmp_path / "mine.py").write_text(MODULE)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
 
 
-def test_an_own_matcher_decides_by_its_own_rates(tmp_path: Path, capsys) -> None:
+def test_an_own_matcher_decides_by_its_own_rates(tmp_path, capsys):
     rng = np.random.default_rng(0)
     size = MasterPrintSettings(half_width_mm=7.0, distal_mm=16.0, proximal_mm=1.0)
     pictures = [ink_print(master_print("left_loop", seed, size)) for seed in (1, 2)]
@@ -68,7 +68,7 @@ def test_an_own_matcher_decides_by_its_own_rates(tmp_path: Path, capsys) -> None
     capsys.readouterr()
 
 
-def test_names_that_are_none_are_refused() -> None:
+def test_names_that_are_none_are_refused():
     with pytest.raises(BadInput, match=r"no matcher 'voted'; known are auto, ridge.*MODULE:NAME"):
         splitknit_match.match(
             np.zeros((90, 90), np.uint8),
@@ -87,7 +87,7 @@ def test_names_that_are_none_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_a_batch_takes_both(people: Path, tmp_path: Path, capsys) -> None:
+def test_a_batch_takes_both(people, tmp_path, capsys):
     words = f"batch {people} --out {tmp_path}/store --jobs 1 --json".split()
     words += ["--cases", "mine:plain"]
     assert main([*words, "--matchers", "mine:compare"]) == 0

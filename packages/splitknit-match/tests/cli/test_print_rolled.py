@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ def drawn() -> tuple[Capture, dict[str, np.ndarray]]:
 
 
 @pytest.mark.slow
-def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path, capsys, monkeypatch):
     capture, masks = drawn
     write_capture(capture, tmp_path / "capture")
     findings = (Finding("view-cut-off", "the left view is cut off."),)
@@ -52,7 +51,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     assert outwards.mean() > 0.99
 
 
-def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> None:
+def test_a_capture_without_mirrors_is_refused(drawn, tmp_path, capsys):
     capture, _ = drawn
     bare = replace(capture, rig=replace(capture.rig, mirrors=()))
     write_capture(bare, tmp_path / "bare")
@@ -62,9 +61,7 @@ def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> 
     assert not out.exists()
 
 
-def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(
-    tmp_path: Path, capsys
-) -> None:
+def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(tmp_path, capsys):
     message = refusal_of(capsys, f"print {tmp_path} --method rolled --out {tmp_path}/out")
     assert "not a capture folder" in message
     message = refusal_of(
@@ -77,7 +74,7 @@ def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(
 
 
 @pytest.mark.slow
-def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) -> None:
+def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path, capsys):
     capture, out = tmp_path / "capture", tmp_path / "out"
     finger = ("--seed", 105, "--scale", 0.6, "--no-nir")
     mirrors = ("--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]")

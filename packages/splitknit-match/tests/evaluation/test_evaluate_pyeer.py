@@ -70,7 +70,7 @@ def ours(genuine: np.ndarray, impostor: np.ndarray) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", list(RECORDED))
-def test_our_figures_are_pyeers(name: str) -> None:
+def test_our_figures_are_pyeers(name):
     figures = ours(*shared(name))
     for key, value in RECORDED[name].items():
         assert figures[key] == pytest.approx(value, rel=1e-9), key

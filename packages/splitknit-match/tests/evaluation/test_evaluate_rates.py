@@ -38,9 +38,7 @@ Sides = tuple[list[float], list[float]]
         (0.0001, 0.25, 0.0, 6.0),
     ],
 )
-def test_gar_at_far_with_ties_is_that_counted_by_hand(
-    target: float, gar: float, far: float, threshold: float
-) -> None:
+def test_gar_at_far_with_ties_is_that_counted_by_hand(target, gar, far, threshold):
     point = roc(GENUINE, IMPOSTOR).at_far(target)
     assert (point.gar, point.far, point.threshold) == (gar, far, threshold)
     assert point.resolved == (target >= 0.25)
@@ -48,24 +46,24 @@ def test_gar_at_far_with_ties_is_that_counted_by_hand(
     assert point.far_upper == (0.75 if far == 0 else None)
 
 
-def test_tied_impostors_are_accepted_together_or_not_at_all() -> None:
+def test_tied_impostors_are_accepted_together_or_not_at_all():
     point = roc([4, 5, 6], [1, 5, 5, 5]).at_far(0.5)  # two of the three fives would be allowed
     assert (point.gar, point.far, point.false_accepts) == (pytest.approx(1 / 3), 0.0, 0)
     assert point.resolved
 
 
-def test_a_target_is_met_whatever_the_last_bit_of_it_says() -> None:
+def test_a_target_is_met_whatever_the_last_bit_of_it_says():
     impostor = np.arange(100.0)
     for target in (0.01, 0.07, 0.29, 0.57, 0.58):  # 100 * 0.29 is 28.999999999999996
         assert roc([-1.0], impostor).at_far(target).false_accepts == round(100 * target)
 
 
-def test_nobody_is_accepted_where_impostors_score_highest() -> None:
+def test_nobody_is_accepted_where_impostors_score_highest():
     point = roc([1.0], [2.0, 3.0]).at_far(0.001)
     assert (point.gar, point.far, point.threshold) == (0.0, 0.0, None)
 
 
-def test_no_error_is_bounded_by_the_rule_of_three() -> None:
+def test_no_error_is_bounded_by_the_rule_of_three():
     assert error_bound(0.0, 300) == 0.01
     assert error_bound(0.0, 2) == 1.0
     assert roc([1.0], np.zeros(1000)).at_far(0.0001).far_upper == 0.003
@@ -84,13 +82,11 @@ def test_no_error_is_bounded_by_the_rule_of_three() -> None:
         ([3.0, 4.0, 6.0], [0.0, 1.0, 5.0, 5.0], 5 / 12),
     ],
 )
-def test_equal_error_is_that_counted_by_hand(
-    genuine: list[float], impostor: list[float], value: float
-) -> None:
+def test_equal_error_is_that_counted_by_hand(genuine, impostor, value):
     assert roc(genuine, impostor).equal_error().value == pytest.approx(value)
 
 
-def test_corners_of_a_roc_are_those_drawn_by_hand() -> None:
+def test_corners_of_a_roc_are_those_drawn_by_hand():
     curve = roc([1.0, 2.0], [0.0, 1.0, 1.5])
     corners = list(zip(curve.far.tolist(), curve.gar.tolist(), strict=True))
     assert corners == [(0, 0), (0, 0.5), (1 / 3, 0.5), (2 / 3, 1), (1, 1)]
@@ -98,7 +94,7 @@ def test_corners_of_a_roc_are_those_drawn_by_hand() -> None:
 
 
 @given(either)
-def test_rates_are_those_of_their_definition(sides: Sides) -> None:
+def test_rates_are_those_of_their_definition(sides):
     curve = roc(*sides)
     assert curve.equal_error().value == reference.equal_error(*sides)
     assert curve.auc() == pytest.approx(reference.auc(*sides))
@@ -108,7 +104,7 @@ def test_rates_are_those_of_their_definition(sides: Sides) -> None:
 
 
 @given(missing)
-def test_failures_are_rejections_or_left_out(sides: Sides) -> None:
+def test_failures_are_rejections_or_left_out(sides):
     compared = [[s for s in side if not np.isnan(s)] for side in sides]
     every, left_out, alone = roc(*sides), roc(*sides).scored(), roc(*compared)
     assert every.equal_error().value == reference.equal_error(*sides)
@@ -126,7 +122,7 @@ def test_failures_are_rejections_or_left_out(sides: Sides) -> None:
 
 
 @given(either)
-def test_the_roc_rises_and_holds_every_point(sides: Sides) -> None:
+def test_the_roc_rises_and_holds_every_point(sides):
     genuine, impostor = map(np.array, sides)
     curve = roc(genuine, impostor)
     fars, gars, thresholds = curve.far, curve.gar, curve.ranked.threshold
@@ -144,7 +140,7 @@ def test_the_roc_rises_and_holds_every_point(sides: Sides) -> None:
         assert (between & along_an_axis).any() or ((fars == x) & (gars == y)).any()
 
 
-def test_d_prime_is_that_of_its_formula_and_nan_without_spread() -> None:
+def test_d_prime_is_that_of_its_formula_and_nan_without_spread():
     assert roc([4.0, 6.0], [0.0, 2.0]).d_prime() == pytest.approx(4.0)
     assert roc([0.0, 2.0], [4.0, 6.0]).d_prime() == pytest.approx(-4.0)
     for sides in (([1.0, 1.0], [1.0]), ([2.0], [1.0]), ([0.1] * 3, [0.3] * 3)):
@@ -160,14 +156,12 @@ def test_d_prime_is_that_of_its_formula_and_nan_without_spread() -> None:
         ([1.0], [-np.inf, 2.0], "impostor scores must be finite"),
     ],
 )
-def test_empty_or_infinite_scores_are_refused(
-    genuine: list[float], impostor: list[float], words: str
-) -> None:
+def test_empty_or_infinite_scores_are_refused(genuine, impostor, words):
     with pytest.raises(BadInput, match=words):
         roc(genuine, impostor)
 
 
 @pytest.mark.parametrize("target", [0.0, -0.1, 1.1, float("nan")])
-def test_targets_that_are_no_rate_are_refused(target: float) -> None:
+def test_targets_that_are_no_rate_are_refused(target):
     with pytest.raises(BadInput, match="target"):
         roc([1.0], [0.0]).at_far(target)

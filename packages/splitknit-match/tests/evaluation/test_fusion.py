@@ -33,14 +33,14 @@ def separation(scores: Scores) -> float:
 
 
 @pytest.mark.parametrize("method", ["trained", "linear", "minmax"])
-def test_three_independent_systems_are_better_than_the_best(method: str) -> None:
+def test_three_independent_systems_are_better_than_the_best(method):
     three = systems()
     fused = fuse(three, method).scores
     best = max(map(separation, three))
     assert separation(fused) > 1.5 * best  # sqrt(3) with many comparisons
 
 
-def test_trained_fusion_leaves_a_useless_system_out() -> None:
+def test_trained_fusion_leaves_a_useless_system_out():
     good, useless = systems(2)
     noise = replace(useless, score=np.random.default_rng(5).normal(size=useless.score.size))
     trained = fuse([good, noise])
@@ -50,7 +50,7 @@ def test_trained_fusion_leaves_a_useless_system_out() -> None:
     assert abs(trained.weights[1]) < 0.2 * trained.weights[0]
 
 
-def test_nobody_is_trained_on_who_is_tested_on() -> None:
+def test_nobody_is_trained_on_who_is_tested_on():
     """Spoil every score of one subject: only the models that score its fold stay as they were."""
     two = systems(2)
     of_subject = (two[0].subject.codes == 3).any(axis=1)
@@ -63,7 +63,7 @@ def test_nobody_is_trained_on_who_is_tested_on() -> None:
     assert any(same == {key for key in plain if fold in key} for fold in range(5))
 
 
-def test_a_system_without_a_score_is_replaced_by_the_rest() -> None:
+def test_a_system_without_a_score_is_replaced_by_the_rest():
     two, rng = systems(2), np.random.default_rng(7)
     holes = np.where(rng.random(two[0].score.size) < 0.3, np.nan, two[0].score)
     second = np.where(rng.random(two[0].score.size) < 0.2, np.nan, two[1].score)
@@ -75,7 +75,7 @@ def test_a_system_without_a_score_is_replaced_by_the_rest() -> None:
         assert separation(fused.scores) > separation(broken[0])
 
 
-def test_trained_fusion_learns_that_missing_scores_are_impostors() -> None:
+def test_trained_fusion_learns_that_missing_scores_are_impostors():
     """A gate rejects impostors alone."""
     two = systems(2, noise=1.5)
     gated = np.where(two[0].label, two[0].score, np.nan)
@@ -87,7 +87,7 @@ def test_trained_fusion_learns_that_missing_scores_are_impostors() -> None:
     assert all(np.diff(model(usual)) < -1 for model in fused.models.values())
 
 
-def test_scores_are_normalised_as_defined() -> None:
+def test_scores_are_normalised_as_defined():
     table = np.array([[0.0, 10.0], [1.0, 30.0], [2.0, np.nan], [5.0, 20.0]])
     z = fit_linear(table, np.ones(4, bool))[1](table)
     expected = ((table[0] - [2.0, 20.0]) / [np.sqrt(3.5), np.sqrt(200 / 3)]).mean()
@@ -97,7 +97,7 @@ def test_scores_are_normalised_as_defined() -> None:
     assert minmax == pytest.approx([0.0, 0.5 * 0.2 + 0.5, 0.4, 0.5 + 0.25])
 
 
-def test_newton_reaches_the_minimum_of_a_general_minimiser() -> None:
+def test_newton_reaches_the_minimum_of_a_general_minimiser():
     rng = np.random.default_rng(2)
     genuine = np.arange(400) % 5 == 0
     scores = genuine + rng.normal(0, 0.8, 400), 3 * genuine + rng.normal(0, 4, 400)
@@ -111,7 +111,7 @@ def test_newton_reaches_the_minimum_of_a_general_minimiser() -> None:
     x, y = np.hstack([normal, ~known, np.ones((len(table), 1))]), np.where(genuine, 1, -1)
     fraction = np.where(genuine, 0.5 / genuine.sum(), 0.5 / (~genuine).sum())
 
-    def loss(w: np.ndarray) -> float:
+    def loss(w):
         return fraction @ np.logaddexp(0, -y * (x @ w)) + 0.5 * PENALTY * (w[:-1] ** 2).sum()
 
     best = minimize(loss, np.zeros(5), method="BFGS", tol=1e-12)
@@ -121,13 +121,13 @@ def test_newton_reaches_the_minimum_of_a_general_minimiser() -> None:
     assert fitted == pytest.approx(best.x, abs=2e-3)
 
 
-def test_separable_scores_stay_finite() -> None:
+def test_separable_scores_stay_finite():
     fused = fuse(systems(2, noise=0.01)).scores
     assert np.isfinite(fused.score).all()
     assert fused.genuine.min() > fused.impostor.max()
 
 
-def test_other_traits_pair_up_by_subject_and_session() -> None:
+def test_other_traits_pair_up_by_subject_and_session():
     """One finger a subject; the face has no fingers, other sides and another order."""
     system = systems(1)[0]
     finger = system.taken((system.finger.codes % 2 == 0).all(axis=1))
@@ -140,7 +140,7 @@ def test_other_traits_pair_up_by_subject_and_session() -> None:
         assert np.allclose(fuse([finger, trait], "linear").scores.score, expected)
 
 
-def test_the_pair_at_fault_is_named() -> None:
+def test_the_pair_at_fault_is_named():
     first, second = systems(2, subjects=6)
     places = np.arange(second.label.size)
     words = "'s1' lacks, or has more than once, finger 1, subject 0, session 1 with"
@@ -151,19 +151,19 @@ def test_the_pair_at_fault_is_named() -> None:
         fuse([first, replace(second, finger=None)])
 
 
-def test_folds_are_of_fingers_where_there_are_no_subjects() -> None:
+def test_folds_are_of_fingers_where_there_are_no_subjects():
     fused = fuse([replace(system, subject=None) for system in systems(2)])
     assert (fused.by, fused.folds) == ("finger", 5)
 
 
-def test_the_seed_decides_the_folds() -> None:
+def test_the_seed_decides_the_folds():
     two = systems(2)
     a, b, c = (fuse(two, seed=seed).scores.score for seed in (0, 0, 1))
     assert np.array_equal(a, b)
     assert not np.array_equal(a, c)
 
 
-def test_systems_that_cannot_be_fused_are_refused() -> None:
+def test_systems_that_cannot_be_fused_are_refused():
     two = systems(2)
     with pytest.raises(BadInput, match="two systems at least"):
         fuse(two[:1])

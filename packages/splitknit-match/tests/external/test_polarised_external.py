@@ -31,9 +31,7 @@ def capture(data_dir: Path) -> Capture:
 
 
 @pytest.mark.parametrize("moved_mm", [(0.0, 0.0), (0.2, -0.1)])
-def test_motion_between_the_series_is_measured_to_micrometres(
-    capture: Capture, moved_mm: tuple[float, float]
-) -> None:
+def test_motion_between_the_series_is_measured_to_micrometres(capture, moved_mm):
     """A still finger to 0.004 mm in each shot; a moved one to 0.009 mm, the mean of its shots to
     0.005 mm."""
     px, band = capture.rig.camera.px_per_mm, capture.bands["white_crossed"]
@@ -59,9 +57,7 @@ def test_motion_between_the_series_is_measured_to_micrometres(
     assert np.corrcoef(specular[inside], still[inside])[0, 1] > 0.97
 
 
-def test_prints_of_specular_light_and_of_relief_match(
-    capture: Capture, tmp_path: Path, capsys
-) -> None:
+def test_prints_of_specular_light_and_of_relief_match(capture, tmp_path, capsys):
     result = tmp_path / "result"
     splitknit.reconstruct(capture, "snk").save(result, None)
     folders = [str(tmp_path / method) for method in ("specular", "relief")]
@@ -72,9 +68,7 @@ def test_prints_of_specular_light_and_of_relief_match(
     assert "Match, decided" in capsys.readouterr().out
 
 
-def test_heights_are_measured_where_the_skin_faces_the_camera(
-    capture: Capture, data_dir: Path
-) -> None:
+def test_heights_are_measured_where_the_skin_faces_the_camera(capture, data_dir):
     """0.9995 and 0.96 below 15 degrees, 0.996 and 0.98 up to 30; without films 0.987 and 0.89,
     0.976 and 0.84."""
     result = splitknit.reconstruct(capture)
@@ -97,8 +91,8 @@ def grey(band: Band) -> Band:
 
 
 def test_heights_of_grey_photographs_are_measured_where_the_skin_faces_the_camera(
-    capture: Capture, data_dir: Path
-) -> None:
+    capture, data_dir
+):
     """0.996, 0.96 and 1.9 um below 15 degrees; from a relief by colour the heights ended at 0.82,
     0.34 and 14 um."""
     bands = {

@@ -49,7 +49,7 @@ def gar_at_far_0(files, similarity) -> float:
 
 
 @pytest.mark.slow
-def test_ridges_and_minutiae_are_no_worse_than_nbis_py(files) -> None:
+def test_ridges_and_minutiae_are_no_worse_than_nbis_py(files):
     extractor = nbis_py()
     theirs = [extractor.extract_minutiae(file.read_bytes()) for file in files]
     ours = [Prepared(print_template(read_print_png(file).image)) for file in files]
@@ -61,7 +61,7 @@ def test_ridges_and_minutiae_are_no_worse_than_nbis_py(files) -> None:
 @pytest.mark.parametrize(
     ("name", "highest"), [("fvc2002_db1b", 5), ("fvc2002_db2b", 3), ("fvc2004_db4b", 6)]
 )
-def test_records_of_another_vendor_are_matched(data_dir, name: str, highest: float) -> None:
+def test_records_of_another_vendor_are_matched(data_dir, name, highest):
     """Equal error rate, percent, of 140 genuine and 640 impostor pairs."""
     folder = data_dir / "iso_templates" / name
     if not folder.is_dir():
@@ -79,7 +79,7 @@ def test_records_of_another_vendor_are_matched(data_dir, name: str, highest: flo
     assert 100 * min(rates) <= highest
 
 
-def test_touches_of_a_laptops_sensor_are_matched_at_their_resolution(data_dir, tmp_path) -> None:
+def test_touches_of_a_laptops_sensor_are_matched_at_their_resolution(data_dir, tmp_path):
     """At 508 ppi, as they were said to have, their ridges would lie closer than people's do."""
     folder, gallery = data_dir / "small_sensor", tmp_path / "people.skg"
     if not folder.is_dir():
@@ -101,7 +101,7 @@ def test_touches_of_a_laptops_sensor_are_matched_at_their_resolution(data_dir, t
         "fvc2004_db2b", "fvc2004_db3b",
     ],
 )  # fmt: skip
-def test_sheets_of_several_prints_are_refused_and_no_print(name: str, data_dir) -> None:
+def test_sheets_of_several_prints_are_refused_and_no_print(name, data_dir):
     folder = data_dir / "fvc" / name
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")

@@ -123,9 +123,7 @@ twice as much."""
         ("pr", {}, 19.6),
     ],
 )
-def test_normals_of_the_bear_are_near_the_scanned_ones(
-    bear: tuple[Capture, np.ndarray], preset: str, changes: dict[str, str], limit_deg: float
-) -> None:
+def test_normals_of_the_bear_are_near_the_scanned_ones(bear, preset, changes, limit_deg):
     """Those of the surface; integration adds less than half a degree to the error of `metric`."""
     capture, truth = bear
     result = reconstruct(capture, preset, changes)
@@ -138,7 +136,7 @@ def test_normals_of_the_bear_are_near_the_scanned_ones(
         assert error < angle_deg(normals, truth, capture.mask) + 0.5
 
 
-def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, np.ndarray]) -> None:
+def test_measured_normals_are_those_of_photometric_stereo(bear):
     """They are kept, as integration adds to the error of `ea`."""
     capture, truth = bear
     result = reconstruct(capture, "ea")
@@ -165,11 +163,11 @@ def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, n
     ],
 )
 def test_heights_of_the_ball_are_within_a_few_per_cent_of_its_radius(
-    ball: tuple[Capture, np.ndarray],
-    preset: str,
-    changes: dict[str, str],
-    limit: float,
-) -> None:
+    ball,
+    preset,
+    changes,
+    limit,
+):
     """Though the camera's response is unknown and its lens not orthographic."""
     capture, sphere = ball
     result = reconstruct(capture, preset, changes)
@@ -179,7 +177,7 @@ def test_heights_of_the_ball_are_within_a_few_per_cent_of_its_radius(
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, preset: str) -> None:
+def test_the_phalange_is_a_finger_with_ridges(phalange, preset):
     result = reconstruct(phalange, preset)
     assert_complete(result, phalange.mask)
     middle = result.ridge_mm[250:450, 500:700]
@@ -201,9 +199,7 @@ def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, preset: str) ->
 
 
 @pytest.mark.slow
-def test_the_command_line_segments_the_phalange_without_its_mask(
-    phalange: Capture, tmp_path: Path, capsys
-) -> None:
+def test_the_command_line_segments_the_phalange_without_its_mask(phalange, tmp_path, capsys):
     folder, out = tmp_path / "capture", tmp_path / "result"
     write_capture(phalange, folder)
     document = json.loads((folder / "capture.json").read_text())
@@ -249,7 +245,7 @@ def cap(x: float, y: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
 
 
 @pytest.mark.slow
-def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> None:
+def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir):
     """Caps in um. Lights and ambient are fitted to the balls left of the crop; rims of contact cast
     shadows."""
     folder = needed(data_dir / "elastomer")

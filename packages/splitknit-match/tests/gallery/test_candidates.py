@@ -24,7 +24,7 @@ def templates() -> dict[str, bytes]:
     }
 
 
-def test_candidates_are_found_as_in_a_gallery(templates, tmp_path: Path, monkeypatch) -> None:
+def test_candidates_are_found_as_in_a_gallery(templates, tmp_path, monkeypatch):
     gallery = splitknit_match.Gallery(tmp_path / "g.skg")
     for name, template in templates.items():
         gallery.enroll(template, name, "right_index")
@@ -45,7 +45,7 @@ def test_candidates_are_found_as_in_a_gallery(templates, tmp_path: Path, monkeyp
     assert candidates.search(probe, resolution_ppi=PPI).candidates[0].person == "ann"
 
 
-def test_what_cannot_be_searched_is_refused(templates) -> None:
+def test_what_cannot_be_searched_is_refused(templates):
     candidates = splitknit_match.Candidates()
     assert candidates.search(press(1), resolution_ppi=PPI).answer == "no match"
     damaged = {"x": templates["ann"][:-9]}
@@ -57,7 +57,7 @@ def test_what_cannot_be_searched_is_refused(templates) -> None:
     assert len(candidates) == 0
 
 
-def test_saved_candidates_are_loaded_with_their_minutiae(templates, tmp_path: Path) -> None:
+def test_saved_candidates_are_loaded_with_their_minutiae(templates, tmp_path):
     candidates = splitknit_match.Candidates(templates)
     stages = []
     candidates.prepare(lambda stage, fraction: stages.append(stage))
@@ -77,7 +77,7 @@ def test_saved_candidates_are_loaded_with_their_minutiae(templates, tmp_path: Pa
         candidates.save(tmp_path / "c.skg")
 
 
-def test_files_of_candidates_are_refused_as_galleries_are(templates, tmp_path: Path) -> None:
+def test_files_of_candidates_are_refused_as_galleries_are(templates, tmp_path):
     with pytest.raises(BadInput, match="no templates to save"):
         splitknit_match.Candidates().save(tmp_path / "none.skg")
     assert not (tmp_path / "none.skg").exists()
@@ -98,8 +98,8 @@ def test_files_of_candidates_are_refused_as_galleries_are(templates, tmp_path: P
         splitknit_match.Candidates.load(tmp_path / "g.skg")
 
 
-def test_raising_in_progress_leaves_nothing(templates, tmp_path: Path, caplog) -> None:
-    def stopped(stage: str, fraction: float) -> None:
+def test_raising_in_progress_leaves_nothing(templates, tmp_path, caplog):
+    def stopped(stage, fraction):
         if fraction == 1.0:
             raise KeyboardInterrupt
 
@@ -120,7 +120,7 @@ def test_raising_in_progress_leaves_nothing(templates, tmp_path: Path, caplog) -
     assert "Ann" not in words
 
 
-def test_the_example_of_an_own_database(capsys) -> None:
+def test_the_example_of_an_own_database(capsys):
     """Against SQLite in memory; PostgreSQL differs in the URL alone."""
     pytest.importorskip("sqlalchemy")
     path = Path(__file__).parents[4] / "examples" / "own_database.py"

@@ -54,7 +54,7 @@ def driver(key: Key | None):
 
 
 @pytest.fixture(params=["plain", "encrypted"])
-def key(request: pytest.FixtureRequest) -> Key | None:
+def key(request) -> Key | None:
     if request.param == "plain":
         return None
     pytest.importorskip("sqlcipher3")
@@ -62,7 +62,7 @@ def key(request: pytest.FixtureRequest) -> Key | None:
 
 
 @pytest.fixture
-def file(tmp_path: Path, key: Key | None) -> Path:
+def file(tmp_path, key: Key | None) -> Path:
     """Ann's two fingers, Bob's two sessions, and a failure to acquire."""
     path = tmp_path / "people.skg"
     with GalleryFile(path, key) as gallery:
@@ -76,7 +76,7 @@ def people(path: Path, key: Key | None) -> list[str]:
         return [row.words for row in gallery]
 
 
-def test_what_is_put_in_comes_out(file: Path, key: Key | None) -> None:
+def test_what_is_put_in_comes_out(file, key):
     with GalleryFile(file, key) as gallery:
         assert len(gallery) == 5
         entries = gallery.entries()
@@ -99,12 +99,12 @@ def test_what_is_put_in_comes_out(file: Path, key: Key | None) -> None:
         assert gallery.settings_sha256 == SETTINGS
 
 
-def test_only_its_owner_may_read_it(file: Path) -> None:
+def test_only_its_owner_may_read_it(file):
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     assert list(file.parent.iterdir()) == [file]  # one file at rest
 
 
-def test_equal_enrolments_are_equal_files(tmp_path: Path) -> None:
+def test_equal_enrolments_are_equal_files(tmp_path):
     for name in ("a", "b"):
         with GalleryFile(tmp_path / name) as gallery:
             gallery.add([new("Ann", 1), new("Bob", 2)], SETTINGS)
@@ -112,7 +112,7 @@ def test_equal_enrolments_are_equal_files(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_a_capture_is_kept_once(file: Path, key: Key | None) -> None:
+def test_a_capture_is_kept_once(file, key):
     with GalleryFile(file, key) as gallery:
         assert gallery.add([new("Ann", 1), new("Cid", 9)], SETTINGS) == [False, True]
         with pytest.raises(BadInput, match=r"Ann, right index, session 1 is in .* already"):
@@ -126,8 +126,8 @@ def test_a_capture_is_kept_once(file: Path, key: Key | None) -> None:
         assert len(gallery) == 6
 
 
-def test_a_gallery_appears_with_its_first_finger(tmp_path: Path, key: Key | None) -> None:
-    def refuse() -> None:
+def test_a_gallery_appears_with_its_first_finger(tmp_path, key):
+    def refuse():
         raise BadInput("not this one.")
 
     path = tmp_path / "g.skg"
@@ -143,7 +143,7 @@ def test_a_gallery_appears_with_its_first_finger(tmp_path: Path, key: Key | None
     assert people(path, key) == ["Ann, right index, session 1"]
 
 
-def test_nothing_remains_of_a_removed_finger(file: Path, key: Key | None) -> None:
+def test_nothing_remains_of_a_removed_finger(file, key):
     gone = payload(2)
     assert (gone[-200:] in file.read_bytes()) == (key is None)
     assert (b"left_thumb" in file.read_bytes()) == (key is None)
@@ -164,7 +164,7 @@ def test_nothing_remains_of_a_removed_finger(file: Path, key: Key | None) -> Non
 
 @pytest.mark.parametrize("table", ["capture", "person"])
 @pytest.mark.parametrize("act", ["remove", "replace"])
-def test_second_copies_in_a_page_go_with_a_removal(tmp_path: Path, table: str, act: str) -> None:
+def test_second_copies_in_a_page_go_with_a_removal(tmp_path, table, act):
     """SQLite may leave a second copy of a row between a page's pointers and its cells; here one is
     put there."""
     file = tmp_path / "g.skg"
@@ -191,9 +191,7 @@ def test_second_copies_in_a_page_go_with_a_removal(tmp_path: Path, table: str, a
 
 
 @pytest.mark.parametrize("act", ["enrol", "the same again"])
-def test_what_one_could_not_erase_the_next_writer_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str
-) -> None:
+def test_what_one_could_not_erase_the_next_writer_does(tmp_path, monkeypatch, act):
     """As after a kill between a removal and its VACUUM: here a reader is in the way."""
     file, gone = tmp_path / "g.skg", payload(1)[-200:]
     with GalleryFile(file) as gallery:
@@ -221,7 +219,7 @@ def test_what_one_could_not_erase_the_next_writer_does(
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_what_became_free_is_used_again(file: Path, key: Key | None) -> None:
+def test_what_became_free_is_used_again(file, key):
     with GalleryFile(file, key) as gallery:
         gallery.add([new(f"P{k}", 100 + k) for k in range(30)], SETTINGS)
         before = file.stat().st_size
@@ -233,7 +231,7 @@ def test_what_became_free_is_used_again(file: Path, key: Key | None) -> None:
 
 
 @pytest.mark.slow
-def test_all_sides_of_a_key(tmp_path: Path) -> None:
+def test_all_sides_of_a_key(tmp_path):
     pytest.importorskip("sqlcipher3")
     phrase, digits = Key("correct 'horse'"), Key("ab" * 32)
     secrets = [b"Ann", b"right_index", payload(1)[40:60]]
@@ -259,8 +257,8 @@ def test_all_sides_of_a_key(tmp_path: Path) -> None:
 
 
 def test_what_an_encrypted_file_reveals_is_no_name_and_any_changed_byte_is_noticed(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     pytest.importorskip("sqlcipher3")
     path = tmp_path / "g.skg"
     with GalleryFile(path, KEY) as gallery:
@@ -273,9 +271,7 @@ def test_what_an_encrypted_file_reveals_is_no_name_and_any_changed_byte_is_notic
             gallery.people()
 
 
-def test_without_sqlcipher_one_sentence_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_sqlcipher_one_sentence_says_so(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "sqlcipher3", None)
     with pytest.raises(BadInput, match=r"need SQLCipher: pip install 'splitknit-match\[encrypt\]'"):
         GalleryFile(tmp_path / "g.skg", KEY)
@@ -293,7 +289,7 @@ def test_without_sqlcipher_one_sentence_says_so(
         ("UPDATE capture SET area_mm2 = 9e999 WHERE id = 1", "area_mm2 must be"),
     ],
 )
-def test_damage_is_refused(tmp_path: Path, change: str, words: str) -> None:
+def test_damage_is_refused(tmp_path, change, words):
     path = tmp_path / "g.skg"
     with GalleryFile(path) as gallery:
         gallery.add([new("Ann", 1), new("Bob", 2)], SETTINGS)
@@ -306,7 +302,7 @@ def test_damage_is_refused(tmp_path: Path, change: str, words: str) -> None:
             assert gallery.people().templates == {2: payload(2)}
 
 
-def test_damaged_pages_are_noticed_when_it_is_opened(tmp_path: Path) -> None:
+def test_damaged_pages_are_noticed_when_it_is_opened(tmp_path):
     path = tmp_path / "g.skg"
     with GalleryFile(path) as gallery:
         gallery.add([new("Ann", 1), new("Bob", 2)], SETTINGS)
@@ -345,7 +341,7 @@ def test_damaged_pages_are_noticed_when_it_is_opened(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_is_no_gallery_is_refused(tmp_path: Path, make, words: str) -> None:
+def test_what_is_no_gallery_is_refused(tmp_path, make, words):
     with GalleryFile(tmp_path / "sound") as gallery:
         gallery.add([new("Ann", 1), new("Bob", 2)], SETTINGS)
     make(tmp_path / "g.skg", (tmp_path / "sound").read_bytes())
@@ -354,7 +350,7 @@ def test_what_is_no_gallery_is_refused(tmp_path: Path, make, words: str) -> None
     assert len(str(refused.value).splitlines()) == 1
 
 
-def test_other_versions_and_tables_are_refused(tmp_path: Path) -> None:
+def test_other_versions_and_tables_are_refused(tmp_path):
     file = tmp_path / "g.skg"
     with GalleryFile(file) as gallery:
         gallery.add([new("Ann", 1)], SETTINGS)
@@ -381,7 +377,7 @@ def test_other_versions_and_tables_are_refused(tmp_path: Path) -> None:
                     act()
 
 
-def test_a_schema_that_is_no_text_is_refused(tmp_path: Path) -> None:
+def test_a_schema_that_is_no_text_is_refused(tmp_path):
     file = tmp_path / "g.skg"
     with GalleryFile(file) as gallery:
         gallery.add([new("Ann", 1)], SETTINGS)
@@ -393,8 +389,8 @@ def test_a_schema_that_is_no_text_is_refused(tmp_path: Path) -> None:
         assert str(refused.value).isprintable()
 
 
-def test_writers_wait_for_each_other_and_lose_nothing(file: Path, key: Key | None) -> None:
-    def write(number: int) -> None:
+def test_writers_wait_for_each_other_and_lose_nothing(file, key):
+    def write(number):
         with GalleryFile(file, key) as gallery:
             for k in range(10):
                 gallery.add([new(f"W{number}", 1000 * number + k, session=str(k))], SETTINGS)
@@ -409,10 +405,8 @@ def test_writers_wait_for_each_other_and_lose_nothing(file: Path, key: Key | Non
         assert len(gallery.people().templates) == 45
 
 
-def test_one_who_waits_too_long_is_told(
-    file: Path, key: Key | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def meanwhile() -> None:
+def test_one_who_waits_too_long_is_told(file, key, monkeypatch):
+    def meanwhile():
         monkeypatch.setattr("splitknit_match.gallery.file.WAIT_S", 0.05)
         with GalleryFile(file, key) as another:
             assert len(another) == 5  # readers do not wait
@@ -424,7 +418,7 @@ def test_one_who_waits_too_long_is_told(
     assert len(people(file, key)) == 6
 
 
-def test_a_file_that_is_replaced_meanwhile_is_left_alone(file: Path, key: Key | None) -> None:
+def test_a_file_that_is_replaced_meanwhile_is_left_alone(file, key):
     other_file = file.with_name("other.skg")
     other_file.write_bytes(file.read_bytes())
     with (
@@ -437,9 +431,7 @@ def test_a_file_that_is_replaced_meanwhile_is_left_alone(file: Path, key: Key | 
 
 @pytest.mark.parametrize("end", ["-journal", "-wal", "-shm"])
 @pytest.mark.parametrize("make", [Path.symlink_to, Path.hardlink_to, None])
-def test_what_lies_beside_it_leads_nowhere(
-    file: Path, key: Key | None, tmp_path: Path, end: str, make
-) -> None:
+def test_what_lies_beside_it_leads_nowhere(file, key, tmp_path, end, make):
     beside, other_file = Path(f"{file}{end}"), tmp_path / "other"
     other_file.write_bytes(b"not ours" * 1000)
     if make is None:
@@ -454,9 +446,7 @@ def test_what_lies_beside_it_leads_nowhere(
 
 
 @pytest.mark.parametrize("through", ["file", "link"])
-def test_a_journal_deletes_no_other_file(
-    file: Path, key: Key | None, tmp_path: Path, through: str
-) -> None:
+def test_a_journal_deletes_no_other_file(file, key, tmp_path, through):
     """SQLite deletes the *super-journal* that the end of a journal names."""
     magic, victim = bytes.fromhex("d9d505f920a163d7"), tmp_path / "victim"
     victim.write_bytes(b"not ours")
@@ -496,7 +486,7 @@ print(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1])
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read in /proc")
-def test_a_hostile_schema_is_refused_before_it_is_evaluated(file: Path, key: Key | None) -> None:
+def test_a_hostile_schema_is_refused_before_it_is_evaluated(file, key):
     """It would take 1.2 to 2 GB."""
     files = []
     for name, statement in HOSTILE.items():
@@ -526,7 +516,7 @@ def test_a_hostile_schema_is_refused_before_it_is_evaluated(file: Path, key: Key
     assert int(peak_kb) < 300_000
 
 
-def test_pages_that_no_gallery_has_are_refused(tmp_path: Path) -> None:
+def test_pages_that_no_gallery_has_are_refused(tmp_path):
     """Checking a sparse file of 8 TB would take 0.3 GB."""
     file, pages = tmp_path / "g.skg", 2**28 + 1
     with GalleryFile(file) as gallery:
@@ -554,7 +544,7 @@ def full_beyond(size: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("size", [0, 33_000])
-def test_a_full_disk_is_no_damage(file: Path, key: Key | None, size: int) -> None:
+def test_a_full_disk_is_no_damage(file, key, size):
     """There is no room for the index of the log, or for the log."""
     with GalleryFile(file, key) as gallery, full_beyond(size):
         if size:
@@ -567,9 +557,7 @@ def test_a_full_disk_is_no_damage(file: Path, key: Key | None, size: int) -> Non
     assert len(people(file, key)) == 5
 
 
-def test_a_change_that_was_made_is_no_failure_on_a_full_disk(
-    tmp_path: Path, key: Key | None
-) -> None:
+def test_a_change_that_was_made_is_no_failure_on_a_full_disk(tmp_path, key):
     """There is room for the gallery, not for the index of a log, of 32 kB."""
     path = tmp_path / "g.skg"
     with GalleryFile(path, key) as gallery, full_beyond(32_000):
@@ -638,7 +626,7 @@ print("sound")
 """
 
 
-def test_thirty_killed_writers_lose_nothing(file: Path, key: Key | None) -> None:
+def test_thirty_killed_writers_lose_nothing(file, key):
     """What was told as done is there, of what was under way all or nothing."""
     arguments = [str(file), str(Path(__file__).parent), "plain" if key is None else "encrypted"]
     process = subprocess.run(
@@ -647,14 +635,14 @@ def test_thirty_killed_writers_lose_nothing(file: Path, key: Key | None) -> None
     assert process.stdout == "sound\n", process.stderr
 
 
-def test_an_interrupt_in_the_middle_changes_nothing(file: Path, key: Key | None) -> None:
+def test_an_interrupt_in_the_middle_changes_nothing(file, key):
     with GalleryFile(file, key) as gallery, pytest.raises(KeyboardInterrupt):
         gallery.add([new("Dan", 8)], SETTINGS, last=lambda: signal.raise_signal(signal.SIGINT))
     assert len(people(file, key)) == 5
     assert list(file.parent.iterdir()) == [file]
 
 
-def test_read_only_galleries_are_read(file: Path, key: Key | None) -> None:
+def test_read_only_galleries_are_read(file, key):
     if os.geteuid() == 0:
         pytest.skip("root may write everything")
     file.chmod(0o400)
@@ -673,14 +661,14 @@ def test_read_only_galleries_are_read(file: Path, key: Key | None) -> None:
         ({"session": "a/b"}, "cannot be a session"),
     ],
 )
-def test_names_that_cannot_be(change: dict[str, str], words: str) -> None:
+def test_names_that_cannot_be(change, words):
     with pytest.raises(BadInput, match=words):
         replace(new("Ann").entry, **change)
 
 
-def test_one_name_has_one_way_of_writing() -> None:
+def test_one_name_has_one_way_of_writing():
     assert new("Zoe\u0308").entry == new(" Zo\u00eb ").entry
 
 
-def test_sessions_are_in_order() -> None:
+def test_sessions_are_in_order():
     assert sorted(["b", "10", "2", "a"], key=session_order) == ["2", "10", "a", "b"]

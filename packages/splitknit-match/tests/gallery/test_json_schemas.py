@@ -53,7 +53,7 @@ def check(value: Any, schema: dict[str, Any], known: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_schemas_are_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_schemas_are_true(tmp_path, capsys):
     script = runpy.run_path(str(SCRIPT))
     write_print_png(tmp_path / "a.png", press(1))
     prints, gallery = [str(tmp_path / "a.png")] * 2, str(tmp_path / "g.skg")

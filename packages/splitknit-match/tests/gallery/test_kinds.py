@@ -40,7 +40,7 @@ KINDS = ("print", "photo", "scaled photo", "surface", "contactless")
 
 
 @pytest.fixture(scope="module")
-def sources(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, int], Path]:
+def sources(tmp_path_factory) -> dict[tuple[str, int], Path]:
     """Of each kind two impressions; of all but photographs of one finger."""
     folder = tmp_path_factory.mktemp("kinds")
     files: dict[tuple[str, int], Path] = {}
@@ -126,9 +126,7 @@ def verified(gallery: splitknit_match.Gallery, template: bytes) -> dict[str, Any
 @pytest.mark.parametrize(
     ("enrolled", "probe"), [*itertools.combinations_with_replacement(KINDS, 2)]
 )
-def test_every_door_has_one_answer(
-    sources, templates, tmp_path: Path, enrolled: str, probe: str
-) -> None:
+def test_every_door_has_one_answer(sources, templates, tmp_path, enrolled, probe):
     a, b = templates[enrolled, 0], templates[probe, 1]
     for name, payload in (("a", a), ("b", b)):
         (tmp_path / f"{name}.skt").write_bytes(payload)
@@ -167,7 +165,7 @@ def test_every_door_has_one_answer(
         assert expected[1] is None  # not measured
 
 
-def test_minutiae_know_what_they_were_found_in(sources, templates, tmp_path: Path) -> None:
+def test_minutiae_know_what_they_were_found_in(sources, templates, tmp_path):
     """Rates of two surfaces, and of photographs, were not measured."""
     record = tmp_path / "a.skt"
     surface = print_of_surface(read_surface(sources["surface", 0] / "height.npz"))
@@ -190,7 +188,7 @@ def test_minutiae_know_what_they_were_found_in(sources, templates, tmp_path: Pat
     assert impostors_of("minutiae", "photo", "print") not in TABLES
 
 
-def test_templates_that_do_not_know_are_refused(templates) -> None:
+def test_templates_that_do_not_know_are_refused(templates):
     """Those of version 1: what to do is said."""
     payload = held(templates["print", 0])
     assert isinstance(payload, bytes)

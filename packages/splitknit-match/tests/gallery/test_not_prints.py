@@ -4,7 +4,6 @@ before its band."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -62,15 +61,13 @@ def labyrinth(x: Grid, y: Grid) -> Grid:
         (blocks, ""),
     ],
 )
-def test_lines_that_are_no_ridges_are_not_acquired(
-    wave: Callable[[Grid, Grid], Grid], words: str
-) -> None:
+def test_lines_that_are_no_ridges_are_not_acquired(wave, words):
     template = print_template(picture(wave))
     assert template.empty
     assert words in template.lacks
 
 
-def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path: Path) -> None:
+def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path):
     stripes = picture(lambda x, y: np.sin(0.7 * x))
     with pytest.raises(BadInput, match="no print of a finger: its lines run straight on"):
         splitknit_match.enroll(
@@ -83,12 +80,12 @@ def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_prints_of_fingers_are_acquired(seed: int) -> None:
+def test_prints_of_fingers_are_acquired(seed):
     assert not print_template(press(seed)).empty
 
 
 @pytest.mark.parametrize(("axis", "gap"), [(0, 0), (1, 20)], ids=["stacked", "side by side"])
-def test_a_sheet_of_several_prints_is_refused(axis: int, gap: int, tmp_path: Path) -> None:
+def test_a_sheet_of_several_prints_is_refused(axis, gap, tmp_path):
     prints = [np.pad(press(seed)[20:-20, 20:-20], gap // 2, constant_values=255) for seed in (1, 2)]
     sheet, gallery = np.concatenate(prints, axis=axis), tmp_path / "g.skg"
     words = "array: the picture shows prints of several fingers; cut them apart"
@@ -106,7 +103,7 @@ def test_a_sheet_of_several_prints_is_refused(axis: int, gap: int, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_a_coarse_capture_whose_delta_is_cut_off_is_one_finger(tmp_path: Path) -> None:
+def test_a_coarse_capture_whose_delta_is_cut_off_is_one_finger(tmp_path):
     """Half a delta at the edge curves as a core does."""
     capture, _ = simulate_capture(3, settings=twin_settings(0.1, {"render.workers": 1}))
     printed = surface_print(reconstruct(capture, "ea"), PPI)
@@ -117,16 +114,14 @@ def test_a_coarse_capture_whose_delta_is_cut_off_is_one_finger(tmp_path: Path) -
     assert enrolment.content.fingers == 1
 
 
-def test_small_prints_are_not_judged_by_their_lines() -> None:
+def test_small_prints_are_not_judged_by_their_lines():
     small = picture(lambda x, y: np.sin(0.7 * x))[:110, :110]
     assert not print_template(small).lacks
 
 
 @pytest.mark.parametrize("verb", ["match", "make_template", "enroll", "identify"])
-def test_a_large_print_is_refused_before_anything_is_made_of_it(
-    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def never(*_: object, **__: object) -> None:
+def test_a_large_print_is_refused_before_anything_is_made_of_it(verb, tmp_path, monkeypatch):
+    def never(*_, **__):
         raise AssertionError("a band was made")
 
     file, gallery = tmp_path / "stripes.png", tmp_path / "g.skg"
@@ -147,7 +142,7 @@ def test_a_large_print_is_refused_before_anything_is_made_of_it(
 
 
 @pytest.mark.slow
-def test_a_mirrored_print_is_named(tmp_path: Path) -> None:
+def test_a_mirrored_print_is_named(tmp_path):
     upright, again = press(1), press(1, 9, 12.0)
     template = print_template(upright)
     twice = mirrored(mirrored(template))
@@ -165,7 +160,7 @@ def test_a_mirrored_print_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_finger_named_wrong_gets_a_note(tmp_path: Path) -> None:
+def test_a_finger_named_wrong_gets_a_note(tmp_path):
     gallery = tmp_path / "g.skg"
     splitknit_match.enroll(gallery, press(1), "Ann", "right_index", resolution_ppi=500)
     same = splitknit_match.enroll(

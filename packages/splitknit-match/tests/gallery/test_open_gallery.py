@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,7 +41,7 @@ def prints() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.slow
-def test_arrays_are_matched_as_files_are(prints, tmp_path: Path) -> None:
+def test_arrays_are_matched_as_files_are(prints, tmp_path):
     from splitknit.io.prints import write_print_png
 
     write_print_png(tmp_path / "a.png", prints["ann"])
@@ -80,7 +79,7 @@ def test_arrays_are_matched_as_files_are(prints, tmp_path: Path) -> None:
         (7, None, "a finger is a path"),
     ],
 )
-def test_what_is_no_finger_is_refused(finger, ppi, words: str, tmp_path: Path) -> None:
+def test_what_is_no_finger_is_refused(finger, ppi, words, tmp_path):
     for call in (
         lambda: splitknit_match.match(finger, finger, resolution_ppi=ppi),
         lambda: splitknit_match.make_template(finger, resolution_ppi=ppi),
@@ -102,7 +101,7 @@ def test_what_is_no_finger_is_refused(finger, ppi, words: str, tmp_path: Path) -
         ({"finger": 17}, "'17' is not a finger"),
     ],
 )
-def test_arguments_of_another_kind_are_refused(arguments, words: str, tmp_path: Path) -> None:
+def test_arguments_of_another_kind_are_refused(arguments, words, tmp_path):
     with pytest.raises(BadInput, match=words):
         splitknit_match.identify(tmp_path / "g.skg", b"", **arguments)
     if "person" in arguments:
@@ -112,7 +111,7 @@ def test_arguments_of_another_kind_are_refused(arguments, words: str, tmp_path: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("key", [None, Key("0f" * 32)], ids=["plain", "encrypted"])
-def test_a_gallery_stays_open(prints, tmp_path: Path, key: Key | None, monkeypatch) -> None:
+def test_a_gallery_stays_open(prints, tmp_path, key, monkeypatch):
     if key is not None:  # by the index of minutiae, brought up to date
         pytest.importorskip("sqlcipher3")
         monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 0)
@@ -145,7 +144,7 @@ def test_a_gallery_stays_open(prints, tmp_path: Path, key: Key | None, monkeypat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["moved over it", "copied over it", "removed and written"])
-def test_another_file_of_the_name_is_searched_at_once(prints, tmp_path: Path, how: str) -> None:
+def test_another_file_of_the_name_is_searched_at_once(prints, tmp_path, how):
     file, other_file = tmp_path / "people.skg", tmp_path / "other.skg"
     # as many changes, and of one size
     for place, names in ((file, ("ann", "zoe")), (other_file, ("bob", "zoe"))):
@@ -167,7 +166,7 @@ def test_another_file_of_the_name_is_searched_at_once(prints, tmp_path: Path, ho
         assert gallery.identify(prints["bob again"], resolution_ppi=PPI).decision.match
 
 
-def test_a_file_that_is_gone_is_not_searched(prints, tmp_path: Path) -> None:
+def test_a_file_that_is_gone_is_not_searched(prints, tmp_path):
     file = tmp_path / "people.skg"
     splitknit_match.enroll(file, prints["ann"], "ann", "right_index", resolution_ppi=PPI)
     with splitknit_match.Gallery(file) as gallery:
@@ -186,13 +185,13 @@ def test_a_file_that_is_gone_is_not_searched(prints, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("duplicates", ["refuse", "warn"])
-def test_one_finger_under_two_names_at_once(prints, tmp_path: Path, duplicates: str) -> None:
+def test_one_finger_under_two_names_at_once(prints, tmp_path, duplicates):
     """Whoever comes first: of several who look at the same time one is enrolled, and the others
     hear of it."""
     template = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI).payload
     told: list[object] = []
 
-    def enrol(gallery, name: str) -> None:
+    def enrol(gallery, name):
         start.wait()
         try:
             told.append(
@@ -225,11 +224,11 @@ def test_one_finger_under_two_names_at_once(prints, tmp_path: Path, duplicates: 
                 assert len(gallery) == (1 if trial == 0 else 2)
 
 
-def test_what_is_put_down_comes_before_the_finger(prints, tmp_path: Path) -> None:
+def test_what_is_put_down_comes_before_the_finger(prints, tmp_path):
     file, seen = tmp_path / "people.skg", list[int]()
     splitknit_match.enroll(file, prints["bob"], "bob", "right_index", resolution_ppi=PPI)
 
-    def refuse() -> None:
+    def refuse():
         raise BadInput("no line, no finger.")
 
     with splitknit_match.Gallery(file) as gallery, splitknit_match.Gallery(file) as another:
@@ -247,7 +246,7 @@ def test_what_is_put_down_comes_before_the_finger(prints, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_threads_and_forks_share_it(prints, tmp_path: Path) -> None:
+def test_threads_and_forks_share_it(prints, tmp_path):
     with splitknit_match.Gallery(tmp_path / "g.skg") as gallery:
         for name in ("ann", "bob"):
             gallery.enroll(prints[name], name, "right_index", resolution_ppi=PPI)
@@ -258,7 +257,7 @@ def test_threads_and_forks_share_it(prints, tmp_path: Path) -> None:
         ]
         answers: list[object] = []
 
-        def ask() -> None:
+        def ask():
             answers.append(
                 [
                     (candidate.person, candidate.similarity)
@@ -288,7 +287,7 @@ def test_threads_and_forks_share_it(prints, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_one_finger_under_two_names(prints, tmp_path: Path) -> None:
+def test_one_finger_under_two_names(prints, tmp_path):
     file = tmp_path / "g.skg"
     splitknit_match.enroll(file, prints["ann"], "ann", "right_index", resolution_ppi=PPI)
     with pytest.raises(BadInput, match="matches right index of another person, 'ann'"):
@@ -312,7 +311,7 @@ def test_one_finger_under_two_names(prints, tmp_path: Path) -> None:
         )
 
 
-def test_a_search_by_minutiae_says_what_it_left_out(prints, tmp_path: Path, monkeypatch) -> None:
+def test_a_search_by_minutiae_says_what_it_left_out(prints, tmp_path, monkeypatch):
     monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
     file = tmp_path / "g.skg"
     for name in ("ann", "bob"):
@@ -324,7 +323,7 @@ def test_a_search_by_minutiae_says_what_it_left_out(prints, tmp_path: Path, monk
     assert "compared, those whose minutiae agree best" in str(identification.findings[0])
 
 
-def test_templates_of_arrays_are_those_of_files(prints, tmp_path: Path) -> None:
+def test_templates_of_arrays_are_those_of_files(prints, tmp_path):
     """And the bytes are what a file of a template holds; nothing prints them."""
     from splitknit_match.matching.inputs import held
     from splitknit_match.matching.template import pack

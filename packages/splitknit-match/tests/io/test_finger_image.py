@@ -26,12 +26,12 @@ def item(
     return PrintFile(image, ppi, {}, finger, impression)
 
 
-def test_bytes_are_those_of_the_tables() -> None:
+def test_bytes_are_those_of_the_tables():
     assert encode_finger_image(item()) == TYPED
 
 
 @pytest.mark.parametrize("compression", ["none", "png", "wsq"])
-def test_images_come_back(compression: str) -> None:
+def test_images_come_back(compression):
     if compression == "wsq":
         pytest.importorskip("_wsq")
     rows, columns = np.mgrid[:140, :120]
@@ -47,7 +47,7 @@ def test_images_come_back(compression: str) -> None:
         assert np.abs(b.image.astype(int) - a.image).mean() < (4 if compression == "wsq" else 1e-9)
 
 
-def test_the_layouts_of_others_are_read() -> None:
+def test_the_layouts_of_others_are_read():
     """Two images of 2005; one of 2011 is refused."""
     two = TYPED[:8] + (len(TYPED) + 134).to_bytes(6, "big") + TYPED[14:] + TYPED[32:]
     assert [image.finger for image in decode_finger_images(two)] == ["right_index"] * 2
@@ -55,7 +55,7 @@ def test_the_layouts_of_others_are_read() -> None:
         decode_finger_images(TYPED[:5] + b"2" + TYPED[6:])
 
 
-def test_pixels_per_cm_are_read() -> None:
+def test_pixels_per_cm_are_read():
     metric = bytearray(TYPED)
     metric[19] = 2
     for place in (20, 22, 24, 26):
@@ -63,7 +63,7 @@ def test_pixels_per_cm_are_read() -> None:
     assert decode_finger_images(bytes(metric))[0].resolution_ppi == 1000
 
 
-def test_cuts_are_refused() -> None:
+def test_cuts_are_refused():
     sample = TYPED
     for length in range(len(sample)):
         with pytest.raises(BadInput) as refused:
@@ -90,13 +90,13 @@ def test_cuts_are_refused() -> None:
         (0, b"FAR", "not a finger image record"),
     ],
 )
-def test_what_does_not_fit_is_named(place: int, value: bytes, words: str) -> None:
+def test_what_does_not_fit_is_named(place, value, words):
     data = TYPED[:place] + value + TYPED[place + len(value) :]
     with pytest.raises(BadInput, match=words):
         decode_finger_images(data, "x.fir")
 
 
-def test_a_small_file_costs_little() -> None:
+def test_a_small_file_costs_little():
     """A PNG of 20,000 x 20,000 pixels in a record that states so, and in one that states 10 x
     12."""
     import tracemalloc
@@ -124,6 +124,6 @@ def test_a_small_file_costs_little() -> None:
         (item(finger="ring"), "none", "'ring' has no code"),
     ],
 )
-def test_what_cannot_be_written_is_refused(wrong: PrintFile, compression: str, words: str) -> None:
+def test_what_cannot_be_written_is_refused(wrong, compression, words):
     with pytest.raises(BadInput, match=words):
         encode_finger_image(wrong, compression)

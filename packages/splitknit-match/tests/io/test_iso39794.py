@@ -56,13 +56,13 @@ def item(
     return PrintFile(SMALL, ppi, {}, finger, impression)
 
 
-def test_bytes_are_those_of_the_encoding_rules() -> None:
+def test_bytes_are_those_of_the_encoding_rules():
     assert encode_finger_image_block(item(), quality=63, owner=0x0123).hex(" ") == typed().hex(" ")
     assert encode_finger_image_block(item()).hex(" ") == typed(quality=False).hex(" ")
 
 
 @pytest.mark.parametrize("compression", ["none", "png", "jp2"])
-def test_images_come_back(compression: str) -> None:
+def test_images_come_back(compression):
     images = [
         item(),
         item("left_thumb", "live_rolled", 1000.0),
@@ -78,7 +78,7 @@ def test_images_come_back(compression: str) -> None:
         )
 
 
-def test_what_others_may_add_is_passed_over() -> None:
+def test_what_others_may_add_is_passed_over():
     """A rotation, annotations, a later edition's field; an extension block with its fallback; an
     indefinite length."""
     more = tlv("89", b"\5"), tlv("ad", tlv("30", tlv("80", b"\1"))), tlv("9f1f", b"xyz")
@@ -111,12 +111,12 @@ def test_what_others_may_add_is_passed_over() -> None:
         (typed().replace(bytes.fromhex("800103"), bytes.fromhex("800104"), 1), "generation 4"),
     ],
 )
-def test_what_is_wrong_is_named(data: bytes, words: str) -> None:
+def test_what_is_wrong_is_named(data, words):
     with pytest.raises(BadInput, match=words):
         decode_finger_image_block(data)
 
 
-def test_prints_that_have_no_code_are_refused() -> None:
+def test_prints_that_have_no_code_are_refused():
     with pytest.raises(BadInput, match="impression type 'nonlive_plain' has no code"):
         encode_finger_image_block(item(impression="nonlive_plain"))
     with pytest.raises(BadInput, match="must have a resolution"):

@@ -27,7 +27,7 @@ def view_of(minutiae: Minutiae) -> FingerView:
     )
 
 
-def test_an_ending_points_along_its_ridge() -> None:
+def test_an_ending_points_along_its_ridge():
     """Upright ridges, one more below row 150 than above it: down is 270 deg, 192 of 256 and 135 of
     180 steps."""
     rows, columns = np.mgrid[:300, :280].astype(float)
@@ -45,7 +45,7 @@ def test_an_ending_points_along_its_ridge() -> None:
     assert encode_minutiae_record(view, ANSI_2004)[34] == 135
 
 
-def test_minutiae_come_back_as_they_were() -> None:
+def test_minutiae_come_back_as_they_were():
     random = np.random.default_rng(1)
     count, steps = 60, 2 * np.pi / 32  # mindtct's directions
     minutiae = Minutiae(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ def changed(data: bytes, place: int, *values: int) -> bytes:
     return data[:place] + bytes(values) + data[place + len(values) :]
 
 
-def test_bytes_are_those_of_the_standards() -> None:
+def test_bytes_are_those_of_the_standards():
     head = (
         "46 4d 52 00  20 32 30 00  00 00 00 30  00 00  01 5e  01 f4  00 c5  00 c5  01 00  02 08"
         " 50 03"
@@ -68,7 +67,7 @@ def test_bytes_are_those_of_the_standards() -> None:
     assert encode_minutiae_record(little, ANSI_2009, owner=0x1B) == expected
 
 
-def test_fields_are_where_the_standards_have_them() -> None:
+def test_fields_are_where_the_standards_have_them():
     first, second = decode_minutiae_record(ISO_BYTES)
     np.testing.assert_array_equal(first.x_px, [10, 300, 0])
     np.testing.assert_array_equal(first.y_px, [20, 400, 0])
@@ -98,7 +97,7 @@ def test_fields_are_where_the_standards_have_them() -> None:
 
 
 @pytest.mark.parametrize("standard", STANDARDS)
-def test_what_is_written_is_read(standard: str) -> None:
+def test_what_is_written_is_read(standard):
     @settings(
         max_examples=30,
         derandomize=True,
@@ -106,7 +105,7 @@ def test_what_is_written_is_read(standard: str) -> None:
         suppress_health_check=[HealthCheck.too_slow],
     )
     @given(views(standard))
-    def check(view: FingerView) -> None:
+    def check(view):
         data = encode_minutiae_record(view, standard)
         assert standard_of(data) == standard
         (read,) = decode_minutiae_record(data)
@@ -120,7 +119,7 @@ def test_what_is_written_is_read(standard: str) -> None:
     check()
 
 
-def test_long_records_have_a_length_of_six_bytes() -> None:
+def test_long_records_have_a_length_of_six_bytes():
     body = ANSI_BYTES[10:26] + ANSI_BYTES[26:-2] + (65535).to_bytes(2, "big") + bytes(65535)
     data = ANSI_BYTES[:8] + b"\0\0" + (14 + len(body)).to_bytes(4, "big") + body
     assert decode_minutiae_record(data)[0].count == 3
@@ -128,7 +127,7 @@ def test_long_records_have_a_length_of_six_bytes() -> None:
         decode_minutiae_record(data[:5000])
 
 
-def test_files_are_known_by_what_they_hold(tmp_path: Path) -> None:
+def test_files_are_known_by_what_they_hold(tmp_path):
     for data in SAMPLES.values():
         (tmp_path / "minutiae.any").write_bytes(data)
         assert read_minutiae_record(tmp_path / "minutiae.any")[0].count >= 2
@@ -137,7 +136,7 @@ def test_files_are_known_by_what_they_hold(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("standard", STANDARDS)
-def test_cuts_and_flipped_bits_are_refused_or_read(standard: str) -> None:
+def test_cuts_and_flipped_bits_are_refused_or_read(standard):
     sample = SAMPLES[standard]
     for length in range(1, len(sample)):
         with pytest.raises(
@@ -193,14 +192,14 @@ def test_cuts_and_flipped_bits_are_refused_or_read(standard: str) -> None:
         (b"", "is empty, but"),
     ],
 )
-def test_what_the_standards_do_not_allow_is_named(data: bytes, words: str) -> None:
+def test_what_the_standards_do_not_allow_is_named(data, words):
     with pytest.raises(BadInput, match=words) as refused:
         decode_minutiae_record(data, "x.iso")
     assert "x.iso" in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
-def test_counts_that_lie_cost_nothing() -> None:
+def test_counts_that_lie_cost_nothing():
     """A header may claim 255 views of 255 minutiae: nothing is made before it is there."""
     claims = [
         b"FMR\0 20\0" + bytes(4) + b"\0\0\1\0\1\0\0\xc5\0\xc5\xff\0" + b"\1\0\0\xff" * 3,
@@ -218,13 +217,13 @@ def test_counts_that_lie_cost_nothing() -> None:
     tracemalloc.stop()
 
 
-def test_contactless_is_written_as_what_it_imitates() -> None:
+def test_contactless_is_written_as_what_it_imitates():
     for impression, name in (("contactless", "live_plain"), ("contactless_rolled", "live_rolled")):
         data = encode_minutiae_record(three_minutiae(impression=impression))
         assert decode_minutiae_record(data)[0].impression == name
 
 
-def test_what_cannot_be_said_is_not_written() -> None:
+def test_what_cannot_be_said_is_not_written():
     view = three_minutiae()
     names = ("x_px", "y_px", "direction_rad", "type", "quality")
     many = three_minutiae(**{name: np.resize(getattr(view, name), 300) for name in names})

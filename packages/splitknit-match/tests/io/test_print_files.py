@@ -28,7 +28,7 @@ def write_tiff(path: Path, *print_and_facts) -> None:
 
 
 @pytest.mark.parametrize("ppi", [500, 1000, 787.4])
-def test_tiff_states_its_resolution(tmp_path: Path, ppi: float) -> None:
+def test_tiff_states_its_resolution(tmp_path, ppi):
     write_tiff(tmp_path / "a.tiff", IMAGE, ppi, {"software": "splitknit", "note": "Größe"})
     print_file = read(tmp_path / "a.tiff")
     np.testing.assert_array_equal(print_file.image, IMAGE)
@@ -38,7 +38,7 @@ def test_tiff_states_its_resolution(tmp_path: Path, ppi: float) -> None:
     assert (tmp_path / "b.tiff").read_bytes() == (tmp_path / "a.tiff").read_bytes()
 
 
-def test_other_programs_see_it(tmp_path: Path) -> None:
+def test_other_programs_see_it(tmp_path):
     pillow = pytest.importorskip("PIL.Image")
     write_tiff(tmp_path / "a.tiff", IMAGE, 1000)
     write_print_png(tmp_path / "a.png", IMAGE, 1000)
@@ -49,7 +49,7 @@ def test_other_programs_see_it(tmp_path: Path) -> None:
             np.testing.assert_array_equal(np.asarray(image), IMAGE)
 
 
-def test_tiffs_of_others_are_read(tmp_path: Path) -> None:
+def test_tiffs_of_others_are_read(tmp_path):
     file = tmp_path / "a.tiff"
     tifffile.imwrite(
         file,
@@ -86,7 +86,7 @@ def test_tiffs_of_others_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("image", "ppi", "words"), [(IMAGE / 2, 500, "uint8"), (IMAGE, 5, "between 10 and 100000")]
 )
-def test_other_images_are_refused(tmp_path: Path, image, ppi: float, words: str) -> None:
+def test_other_images_are_refused(tmp_path, image, ppi, words):
     with pytest.raises(BadInput, match=words):
         write_tiff(tmp_path / "a.tiff", image, ppi)
     assert not (tmp_path / "a.tiff").exists()
@@ -101,9 +101,7 @@ def test_other_images_are_refused(tmp_path: Path, image, ppi: float, words: str)
         (296, struct.pack("<HII", 3, 1, 9), 0),  # no unit
     ],
 )
-def test_odd_tags_of_a_print_are_no_crash(
-    tmp_path: Path, tag: int, entry: bytes, resolution: int
-) -> None:
+def test_odd_tags_of_a_print_are_no_crash(tmp_path, tag, entry, resolution):
     """`resolution` is 0 where none is known."""
     path = tmp_path / "a.tiff"
     write_tiff(path, IMAGE, 500, {"note": "x"})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -50,7 +49,7 @@ def loaded(data: bytes, kind: str) -> Any:
     return trimesh.load(io.BytesIO(data), kind, force="mesh", process=kind == "stl")
 
 
-def test_the_colour_is_the_surfaces_and_not_the_highlights(dome: Reconstruction) -> None:
+def test_the_colour_is_the_surfaces_and_not_the_highlights(dome):
     assert dome.colour is not None
     colour, true = dome.colour[MASK], COLOURS[MASK]
     assert np.abs(colour / (colour * true).sum() * (true * true).sum() - true).mean() < 0.02
@@ -58,7 +57,7 @@ def test_the_colour_is_the_surfaces_and_not_the_highlights(dome: Reconstruction)
     assert not dome.colour[~MASK].any()
 
 
-def test_a_result_keeps_its_colours(dome: Reconstruction, tmp_path: Path) -> None:
+def test_a_result_keeps_its_colours(dome, tmp_path):
     dome.save(tmp_path / "result")
     mesh = read_ply(tmp_path / "result" / "surface.ply")
     read = splitknit.read_result(tmp_path / "result")
@@ -72,9 +71,7 @@ def test_a_result_keeps_its_colours(dome: Reconstruction, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("vertices", [100_000, 500])
-def test_a_model_has_a_texture_and_the_detail_that_its_mesh_lacks(
-    dome: Reconstruction, monkeypatch: pytest.MonkeyPatch, vertices: int
-) -> None:
+def test_a_model_has_a_texture_and_the_detail_that_its_mesh_lacks(dome, monkeypatch, vertices):
     monkeypatch.setattr(surface_files, "_MODEL_VERTICES", vertices)
     facts, data = surface_bytes(dome, "glb", "a dome")
     mesh = loaded(data, "glb")
@@ -94,14 +91,14 @@ def test_a_model_has_a_texture_and_the_detail_that_its_mesh_lacks(
         assert 3 < np.degrees(np.arccos(np.percentile(detail[..., 2], 5))) < 20
 
 
-def test_a_grey_result_becomes_a_grey_model(dome: Reconstruction) -> None:
+def test_a_grey_result_becomes_a_grey_model(dome):
     _, data = surface_bytes(replace(dome, colour=None), "glb", "a dome")
     texture = np.asarray(loaded(data, "glb").visual.material.baseColorTexture)
     assert texture.max() > 250
     assert not np.ptp(texture, axis=-1).any()
 
 
-def test_a_solid_is_closed_and_stands_on_a_flat_base(dome: Reconstruction) -> None:
+def test_a_solid_is_closed_and_stands_on_a_flat_base(dome):
     mask = MASK & (np.random.default_rng(0).random(MASK.shape) > 0.03)  # outlines that cross
     for inside in (MASK, mask):
         _, data = surface_bytes(replace(dome, mask=inside), "stl", "a dome", base_mm=2.0)
@@ -115,7 +112,7 @@ def test_a_solid_is_closed_and_stands_on_a_flat_base(dome: Reconstruction) -> No
         assert 0.8 * area * low < solid.volume < area * high
 
 
-def test_maps_state_their_scale(dome: Reconstruction) -> None:
+def test_maps_state_their_scale(dome):
     (_, facts, height), (_, _, opengl) = map_files(dome, "opengl", provenance({}, {}))
     picture = Image.open(io.BytesIO(height))
     levels = np.asarray(picture).astype(float)

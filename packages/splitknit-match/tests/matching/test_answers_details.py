@@ -79,7 +79,7 @@ HOW = (
 )
 
 
-def test_lines_of_a_comparison_by_ridges() -> None:
+def test_lines_of_a_comparison_by_ridges():
     assert match_lines(ridges()) == [
         "No match, decided at a false match rate of 1 in 10,000 (method ridge).",
         "Estimated false match rate: 1 in 810 (measured on 12,345 impostor comparisons, of a"
@@ -101,7 +101,7 @@ def test_lines_of_a_comparison_by_ridges() -> None:
     assert match_lines(ridges(decision=None, undecided="too small"))[0] == "Undecided: too small."
 
 
-def test_lines_of_a_match_beyond_what_was_measured() -> None:
+def test_lines_of_a_match_beyond_what_was_measured():
     decision = MatchDecision(True, 1e-6, 0.9, 3e-7)
     assert match_lines(ridges(decision=decision))[0] == (
         "Match, decided at a false match rate of 1 in 1,000,000 (beyond what was measured:"
@@ -110,7 +110,7 @@ def test_lines_of_a_match_beyond_what_was_measured() -> None:
     assert decided_at(MatchDecision(True, 0.01, 0.9)) == "decided at a false match rate of 1 in 100"
 
 
-def test_lines_of_what_was_not_compared() -> None:
+def test_lines_of_what_was_not_compared():
     failed = replace(LEFT, acquired=False)
     nothing = ridges(compared=False, fmr=None, fmr_basis=None, decision=None, undecided="nothing")
     for sides in ({"a": failed}, {"b": failed}):
@@ -129,7 +129,7 @@ def test_lines_of_what_was_not_compared() -> None:
     )
 
 
-def test_lines_of_prints_and_their_parts() -> None:
+def test_lines_of_prints_and_their_parts():
     prints = MatchOfPrints(
         **{name: getattr(ridges(), name) for name in ridges().__dataclass_fields__}
         | {"method": "fusion"},
@@ -151,7 +151,7 @@ def test_lines_of_prints_and_their_parts() -> None:
     assert few.facts["similarity_of_minutiae"] is None
 
 
-def test_lines_of_images_and_of_minutiae() -> None:
+def test_lines_of_images_and_of_minutiae():
     images = MatchOfImages(
         method="thesis",
         a=LEFT,
@@ -189,7 +189,7 @@ def test_lines_of_images_and_of_minutiae() -> None:
     assert {"fmr", "fmr_missing", "fmr_basis", "decision", "undecided"} <= facts.keys()
 
 
-def test_notes_stand_in_lines_and_doubts_do_not() -> None:
+def test_notes_stand_in_lines_and_doubts_do_not():
     note = Finding("resampled", "it was resampled.")
     doubt = Finding("low-contrast", "x.", Severity.DOUBT)
     assert noted([note, doubt]) == [f"Please note: {note}"]
@@ -213,12 +213,12 @@ def test_notes_stand_in_lines_and_doubts_do_not() -> None:
         (1e-7, "1 in 10,000,000"),
     ],
 )
-def test_rates_are_rounded_up_to_two_digits(rate: float, words: str) -> None:
+def test_rates_are_rounded_up_to_two_digits(rate, words):
     assert one_in(rate) == words
     assert one_in(rate, BASIS) == ("below " if rate <= 1e-4 else "") + words
 
 
-def test_a_rate_is_looked_up_below_its_similarity() -> None:
+def test_a_rate_is_looked_up_below_its_similarity():
     rated = methods.rate(0.6, "ridge", 60.0, 0.01, TABLE)
     assert rated.fmr == 0.01
     assert rated.fmr_basis == FmrBasis(999, "of a test", 0.001)
@@ -239,7 +239,7 @@ def test_a_rate_is_looked_up_below_its_similarity() -> None:
     assert default.answer == "match"
 
 
-def test_little_overlap_is_not_rated_and_excludes_nothing() -> None:
+def test_little_overlap_is_not_rated_and_excludes_nothing():
     unrated = methods.rate(0.9, "ridge", 19.9, 0.01, TABLE)
     assert unrated.undecided == "only 20 mm² of skin overlap; it takes 20 mm² or more"
     assert (unrated.fmr, unrated.fmr_missing) == (None, unrated.undecided)
@@ -254,7 +254,7 @@ def test_little_overlap_is_not_rated_and_excludes_nothing() -> None:
     assert methods.rate(0.9, "ridge", 49.0, 0.01, TABLE).answer == "match"
 
 
-def test_smaller_rates_are_extrapolated_but_not_of_small_prints() -> None:
+def test_smaller_rates_are_extrapolated_but_not_of_small_prints():
     rated = methods.rate(3.0, "ridge", None, 1e-4, TABLE)
     assert rated.decision.threshold == pytest.approx(TABLE.beyond(1e-4)[0], abs=2e-5)
     assert rated.decision.expected_fmr == TABLE.beyond(1e-4)[1]
@@ -269,7 +269,7 @@ def test_smaller_rates_are_extrapolated_but_not_of_small_prints() -> None:
         methods.rate(3.0, "ridge", None, 9e-6, TABLE)
 
 
-def test_methods_without_rates_are_undecided() -> None:
+def test_methods_without_rates_are_undecided():
     words = "false match rates of the method thesis were not measured"
     assert methods.rate(1.0, "thesis", None).undecided == words
     words = "false match rates of the method ridge were measured on 100 mm² of skin or more"
@@ -288,13 +288,11 @@ def test_methods_without_rates_are_undecided() -> None:
         ("minutiae", (9.0, 9.0), None, "minutiae"),
     ],
 )
-def test_each_comparison_has_its_table(
-    method: str, areas_mm2: tuple[float, float], minutiae: float | None, table: str
-) -> None:
+def test_each_comparison_has_its_table(method, areas_mm2, minutiae, table):
     assert methods.scores_of(method, areas_mm2, minutiae) == table
 
 
-def test_shipped_rates_of_the_fusion_are_real_then_simulated() -> None:
+def test_shipped_rates_of_the_fusion_are_real_then_simulated():
     table = methods._fmr_table("fusion")
     folder = Path(methods.__file__).parent
     real, simulated = (
@@ -325,7 +323,7 @@ def test_shipped_rates_of_the_fusion_are_real_then_simulated() -> None:
     assert methods.fmr_basis() == methods._fmr_table("ridge").basis
 
 
-def test_rates_beyond_the_measured_follow_an_exponential_tail() -> None:
+def test_rates_beyond_the_measured_follow_an_exponential_tail():
     scores = np.sort(np.random.default_rng(1).exponential(1.0, 2000))
     table = calibrate_scores(scores)
     assert table.impostors == 2000
@@ -348,7 +346,7 @@ def test_rates_beyond_the_measured_follow_an_exponential_tail() -> None:
     assert table.beyond(0.01)[0] == table.similarity[-1]
 
 
-def test_calibrated_rates_are_counted() -> None:
+def test_calibrated_rates_are_counted():
     scores = np.random.default_rng(1).normal(size=(10, 30)).round(2)
     table = calibrate_scores(scores)
     for similarity, rate in zip(table.similarity, table.fmr, strict=True):
@@ -369,13 +367,13 @@ def test_calibrated_rates_are_counted() -> None:
         calibrate_scores(np.append(np.arange(100.0), np.inf))
 
 
-def test_the_dissimilarity_is_that_of_the_thesis() -> None:
+def test_the_dissimilarity_is_that_of_the_thesis():
     assert dissimilarity(0.9, [1.0, 2.0]) == pytest.approx(math.exp(-(0.9**4) / 3))
     assert dissimilarity(0.9, [0.0, 0.0]) == 0
     assert dissimilarity(1.0, [0.5]) == pytest.approx(math.exp(-2))
 
 
-def test_own_rates_come_back_from_their_file(tmp_path: Path) -> None:
+def test_own_rates_come_back_from_their_file(tmp_path):
     scores = np.append(np.random.default_rng(1).normal(size=300), np.nan)
     document = own_rates_document(scores, "of mine", "fusion", 40.0)
     assert document["impostors"] == 300
@@ -448,9 +446,7 @@ def side_of(kind: str, lacks: str = "") -> Side:
         ),
     ],
 )  # fmt: skip
-def test_a_failure_to_acquire_has_its_reason(
-    side: Side, method: str, code: str, lacks: str
-) -> None:
+def test_a_failure_to_acquire_has_its_reason(side, method, code, lacks):
     compared = methods.compared_side(side)
     assert not compared.acquired
     (finding,) = methods._failure(method, side, compared)
@@ -459,7 +455,7 @@ def test_a_failure_to_acquire_has_its_reason(
     assert methods._failure(method, side, replace(compared, acquired=True)) == []
 
 
-def test_sides_of_minutiae_are_compared_by_minutiae() -> None:
+def test_sides_of_minutiae_are_compared_by_minutiae():
     record = Side(Path("x.fmr"), "minutiae", minutiae=no_minutiae())
     template = side_of("template")
     assert methods.auto_method(record, template) == "minutiae"
@@ -478,7 +474,7 @@ def test_sides_of_minutiae_are_compared_by_minutiae() -> None:
         methods.side_minutiae(template)
 
 
-def test_own_answers_wait_for_a_doubted_resolution() -> None:
+def test_own_answers_wait_for_a_doubted_resolution():
     doubt = Finding("low-contrast", "its resolution cannot be right.", Severity.DOUBT)
     match = ridges(similarity=0.9)
     assert methods._rated(match, "ridge", 0.01, TABLE, []).answer == "match"

@@ -27,7 +27,7 @@ def texture(seed: int, rows: int, columns: int) -> RidgeBand:
     return RidgeBand(value / value.std(), np.ones(value.shape, bool), 0.1)
 
 
-def test_no_band_makes_no_numbers_that_are_not_finite() -> None:
+def test_no_band_makes_no_numbers_that_are_not_finite():
     nothing = RidgeBand(np.zeros((60, 50), np.float32), np.ones((60, 50), bool), 0.1)
     assert not CoarseViews(nothing).ridges().any()
     assert np.isfinite(CoarseViews(nothing).directions).all()
@@ -57,9 +57,7 @@ def turned_band(band: RidgeBand, angle_deg: float, right_mm: float, up_mm: float
         (0.0, 0.5, 0.5, False),
     ],
 )
-def test_near_alignments_are_one(
-    angle_deg: float, right_mm: float, down_mm: float, expected: bool
-) -> None:
+def test_near_alignments_are_one(angle_deg, right_mm, down_mm, expected):
     first = coarse._Peak(1.0, 3.0, 1.0, -2.0)
     second = coarse._Peak(1.0, 3.0 + angle_deg, 1.0 + right_mm, -2.0 + down_mm)
     assert first.near(second) is expected
@@ -69,9 +67,7 @@ def test_near_alignments_are_one(
 @pytest.mark.parametrize(
     ("angle_deg", "right_mm", "up_mm"), [(0, 1.2, 0.9), (-17.5, 0, -2), (195, 0.6, 0)]
 )
-def test_the_likely_alignment_is_the_true_one(
-    angle_deg: float, right_mm: float, up_mm: float
-) -> None:
+def test_the_likely_alignment_is_the_true_one(angle_deg, right_mm, up_mm):
     """Curved ridges, as on a finger: directions alone tell rotations."""
     a = circles()
     b = turned_band(a, angle_deg, right_mm, up_mm)
@@ -93,9 +89,7 @@ def circles() -> RidgeBand:
 @pytest.mark.parametrize(
     ("rows", "columns", "turn"), [((30, 91), (95, 160), 0), ((100, 171), (20, 90), 22)]
 )
-def test_every_pose_of_a_part_is_tried(
-    rows: tuple[int, int], columns: tuple[int, int], turn: int
-) -> None:
+def test_every_pose_of_a_part_is_tried(rows, columns, turn):
     whole = texture(6, 200, 180)
     part = replace(
         whole,
@@ -120,14 +114,14 @@ def test_every_pose_of_a_part_is_tried(
             assert np.abs(pose - better).max() > 0.05
 
 
-def test_the_inverse_leads_back() -> None:
+def test_the_inverse_leads_back():
     affine = np.array([[0.9, 0.2, 3.0], [-0.25, 1.1, -4.0]])
     place = np.array([7.0, -2.0])
     there = affine @ np.append(place, 1)
     np.testing.assert_allclose(inverse(affine) @ np.append(there, 1), place)
 
 
-def test_a_part_that_occurs_twice_is_found_twice() -> None:
+def test_a_part_that_occurs_twice_is_found_twice():
     """Two peaks of each rotation count."""
     whole = texture(6, 200, 180)
     value = whole.value.copy()

@@ -49,7 +49,7 @@ SURFACE = Surface(*[np.zeros((2, 2))] * 4, 0.1, np.eye(3), (2, 2))  # type: igno
 
 
 @pytest.fixture
-def rated(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+def rated(monkeypatch) -> list[tuple[Any, ...]]:
     """What rates were asked for; comparisons are replaced by fixed results."""
     asked: list[tuple[Any, ...]] = []
 
@@ -86,9 +86,7 @@ def compared(method: str, a: Side, b: Side, **changes: Any) -> Any:
         ("ridge", ("print", "surface"), "ridge"),
     ],
 )
-def test_rates_are_of_what_was_compared(
-    rated: list, method: str, kinds: tuple[str, str], scores: str
-) -> None:
+def test_rates_are_of_what_was_compared(rated, method, kinds, scores):
     match = compared(method, side_of(kinds[0]), side_of(kinds[1], "b.png"))
     similarity = 7.0 if method == "fusion" else 0.5
     assert rated == [(similarity, scores, 150.0, 0.01, None)]
@@ -102,7 +100,7 @@ def test_rates_are_of_what_was_compared(
         assert (match.a.minutiae, match.a.acquired, match.b.minutiae) == (12, True, 12)
 
 
-def test_photographs_are_tried_at_several_scales(rated: list, monkeypatch) -> None:
+def test_photographs_are_tried_at_several_scales(rated, monkeypatch):
     asked = []
     for scale, number, words in (
         (1.06, 0, "it fits best 6 % larger."),
@@ -111,7 +109,7 @@ def test_photographs_are_tried_at_several_scales(rated: list, monkeypatch) -> No
         (0.98, 0, "it fits best 2 % smaller."),
     ):
 
-        def tried(a: Any, b: Any, photos: list[bool], quick, fit=(FUSED, scale, number)) -> Any:
+        def tried(a, b, photos, quick, fit=(FUSED, scale, number)):
             asked.append((a.template, b.template, photos))
             return fit
 
@@ -132,7 +130,7 @@ def test_photographs_are_tried_at_several_scales(rated: list, monkeypatch) -> No
     assert len(asked) == 4
 
 
-def test_the_fusion_takes_prints_with_minutiae(rated: list) -> None:
+def test_the_fusion_takes_prints_with_minutiae(rated):
     bare = side_of("result")
     bare = replace(bare, template=replace(bare.template, minutiae=None))
     for pair in ((bare, side_of("print")), (side_of("print"), bare)):
@@ -152,7 +150,7 @@ def test_the_fusion_takes_prints_with_minutiae(rated: list) -> None:
     assert (finding.code, finding.files) == ("failure-to-acquire", ("a.png",))
 
 
-def test_minutiae_are_counted_and_prints_judged(rated: list, monkeypatch) -> None:
+def test_minutiae_are_counted_and_prints_judged(rated, monkeypatch):
     record = Side(Path("a.fmr"), "minutiae", minutiae=some_minutiae(13))
     second_record = replace(record, path=Path("b.fmr"))
     match = compared("minutiae", record, second_record)
@@ -182,7 +180,7 @@ def test_minutiae_are_counted_and_prints_judged(rated: list, monkeypatch) -> Non
     surface = side_of("surface", surface=SURFACE)
     assert methods._print_of(surface).shape == (3, 500)
 
-    def refuse(*values: Any) -> None:
+    def refuse(*values):
         raise BadInput("no print.")
 
     monkeypatch.setattr("splitknit.finger.ridges.surface_print", refuse)
@@ -190,12 +188,12 @@ def test_minutiae_are_counted_and_prints_judged(rated: list, monkeypatch) -> Non
         methods._print_of(surface)
 
 
-def test_images_of_surfaces_are_compared(rated: list, monkeypatch) -> None:
+def test_images_of_surfaces_are_compared(rated, monkeypatch):
     images = iter([FingerImages({}, np.ones((2, 2), bool), 20.0), "b", "a", "b"])
     monkeypatch.setattr(methods, "surface_images", lambda surface: next(images))
     handed = []
 
-    def matched(*values: Any) -> ImageMatch:
+    def matched(*values):
         handed.append(values)
         return ImageMatch(0.4, {"relief": 0.5}, 0.9, -30, {"relief": 0.2}, compared=True)
 
@@ -218,12 +216,12 @@ def test_images_of_surfaces_are_compared(rated: list, monkeypatch) -> None:
         )
 
 
-def no_match(monkeypatch: pytest.MonkeyPatch, answer: str = "no match") -> None:
+def no_match(monkeypatch, answer: str = "no match") -> None:
     rated = Rated(fmr=0.2, decision=MatchDecision(False, 1e-4, 0.1), answer=answer)
     monkeypatch.setattr(methods, "rate", lambda *values: rated)
 
 
-def test_a_mirrored_print_is_doubted(rated: list, monkeypatch) -> None:
+def test_a_mirrored_print_is_doubted(rated, monkeypatch):
     no_match(monkeypatch)
     asked = []
     monkeypatch.setattr(methods, "at_one_scale", lambda a, b: None)
@@ -255,7 +253,7 @@ def test_a_mirrored_print_is_doubted(rated: list, monkeypatch) -> None:
     assert asked[-1] == (a.template, b.template, 0.01, "own")
 
 
-def test_findings_of_both_sides_are_kept_worst_first(rated: list) -> None:
+def test_findings_of_both_sides_are_kept_worst_first(rated):
     note = Finding("resampled", "it was resampled.")
     doubt = Finding("low-contrast", "its resolution is doubtful.", Severity.DOUBT)
     a = side_of("print", findings=(note,))
@@ -272,7 +270,7 @@ def test_findings_of_both_sides_are_kept_worst_first(rated: list) -> None:
     assert inputs.undoubted(a) is a
 
 
-def test_a_template_file_is_written_beside_its_inputs(tmp_path: Path) -> None:
+def test_a_template_file_is_written_beside_its_inputs(tmp_path):
     target = tmp_path / "a.skt"
     side = side_of("print")
     written = methods.write_template_file(target, side)
@@ -293,7 +291,7 @@ def test_a_template_file_is_written_beside_its_inputs(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+def reads(monkeypatch) -> list[tuple[Any, ...]]:
     """What was read: files named ``photo`` are photographs."""
     asked: list[tuple[Any, ...]] = []
 
@@ -326,14 +324,14 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     ],
 )
 def test_the_resolution_and_the_mask_are_of_the_photograph(  # noqa: PLR0917
-    reads: list,
-    rated: list,
-    tmp_path: Path,
-    names: tuple[str, str],
-    resolutions: tuple[float | None, float | None],
-    chosen: int,
-    kept: bool,
-) -> None:
+    reads,
+    rated,
+    tmp_path,
+    names,
+    resolutions,
+    chosen,
+    kept,
+):
     stages = []
     files = [tmp_path / name for name in names]
     if kept:  # files are read at the same time
@@ -357,7 +355,7 @@ def test_the_resolution_and_the_mask_are_of_the_photograph(  # noqa: PLR0917
     assert match.template is None
 
 
-def test_options_reach_the_comparison(rated: list, tmp_path: Path) -> None:
+def test_options_reach_the_comparison(rated, tmp_path):
     payload = side_of("print").payload
     for method, expected in (("auto", "fusion"), ("ridge", "ridge"), ("fusion", "fusion")):
         match = splitknit_match.match(payload, payload, method, fmr=0.02)
@@ -390,7 +388,7 @@ def test_options_reach_the_comparison(rated: list, tmp_path: Path) -> None:
     assert str(caught.value) == f"'{own}' is for the method fusion, but ridge compares these."
 
 
-def test_a_template_is_made_and_written(reads: list, tmp_path: Path) -> None:
+def test_a_template_is_made_and_written(reads, tmp_path):
     stages = []
     target = tmp_path / "a.skt"
     template = splitknit_match.make_template(
@@ -414,7 +412,7 @@ def test_a_template_is_made_and_written(reads: list, tmp_path: Path) -> None:
     assert isinstance(reads[-1][0], Pixels)
 
 
-def test_fingers_come_as_paths_pixels_or_templates() -> None:
+def test_fingers_come_as_paths_pixels_or_templates():
     assert held("a.png") == held(Path("a.png")) == Path("a.png")
     assert held(b"x") == b"x"
     image = np.zeros((8, 6), np.uint8)
@@ -442,7 +440,7 @@ def test_fingers_come_as_paths_pixels_or_templates() -> None:
         assert str(caught.value) == words
 
 
-def test_records_of_minutiae_are_recognised(tmp_path: Path) -> None:
+def test_records_of_minutiae_are_recognised(tmp_path):
     minutiae = pack_minutiae(some_minutiae())
     assert is_of_minutiae(minutiae)
     assert not is_of_minutiae(side_of("print").payload)
@@ -459,7 +457,7 @@ def test_records_of_minutiae_are_recognised(tmp_path: Path) -> None:
     assert not is_of_minutiae(target)
 
 
-def test_sides_are_of_what_was_named(tmp_path: Path) -> None:
+def test_sides_are_of_what_was_named(tmp_path):
     missing = tmp_path / "a.png"
     with pytest.raises(BadInput) as caught:
         read_side(missing, "metric")
@@ -486,7 +484,7 @@ def test_sides_are_of_what_was_named(tmp_path: Path) -> None:
         read_side(tmp_path, "metric")
 
 
-def test_scores_are_printed_where_they_are_wanted(rated: list, tmp_path: Path) -> None:
+def test_scores_are_printed_where_they_are_wanted(rated, tmp_path):
     path = tmp_path / "a.skt"
     methods.write_template_file(path, side_of("print"))
     match = match_module.match_or_make_template(path, path)

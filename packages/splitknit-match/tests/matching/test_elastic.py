@@ -31,7 +31,7 @@ def texture(seed: int, rows: int = 160, columns: int = 140, invalid: int = 0) ->
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-4, 4), (2, 1)])
-def test_shifts_of_patches_are_recovered(shift: tuple[int, int]) -> None:
+def test_shifts_of_patches_are_recovered(shift):
     b = texture(1)
     # A's content lies `shift` (columns, rows) further
     a = replace(b, value=np.roll(b.value, shift[::-1], axis=(0, 1)))
@@ -42,7 +42,7 @@ def test_shifts_of_patches_are_recovered(shift: tuple[int, int]) -> None:
     np.testing.assert_allclose(moved, [-shift[0], -shift[1]], atol=0.1)
 
 
-def test_too_little_valid_skin_is_not_compared() -> None:
+def test_too_little_valid_skin_is_not_compared():
     b = texture(3)
     half = b.valid.copy()
     half[:, 70:] = False
@@ -56,7 +56,7 @@ def test_too_little_valid_skin_is_not_compared() -> None:
     assert len(nothing.used) == 0
 
 
-def test_affine_fit_follows_a_stretched_skin() -> None:
+def test_affine_fit_follows_a_stretched_skin():
     b = texture(4, 220, 200)
     true = np.array([[1.03, 0.01, -4.0], [-0.015, 0.98, 3.0]])  # place in B to place in A
     # A at true(p) shows B at p
@@ -71,7 +71,7 @@ def test_affine_fit_follows_a_stretched_skin() -> None:
     assert better_affine(patches, Agreement(*few), IDENTITY) is IDENTITY
 
 
-def test_a_rigid_map_takes_middle_to_middle_and_turns() -> None:
+def test_a_rigid_map_takes_middle_to_middle_and_turns():
     turn = rigid(texture(0, 41, 61), texture(0, 101, 81), np.pi / 2, 0.5, -0.3)
     # B's middle, moved by the shift, shows A's middle
     np.testing.assert_allclose(turn @ [40 + 5, 50 - 3, 1], [30, 20], atol=1e-9)
@@ -79,7 +79,7 @@ def test_a_rigid_map_takes_middle_to_middle_and_turns() -> None:
     np.testing.assert_allclose(turn @ [45, 47 - 10, 1], [40, 20], atol=1e-9)
 
 
-def test_shifts_by_chance_have_no_support() -> None:
+def test_shifts_by_chance_have_no_support():
     """Dissimilar textures: each patch alone finds some shift that fits; its neighbours do not share
     it."""
     agreement = compare_patches(patch_grid(texture(6)), texture(5), IDENTITY)
@@ -96,7 +96,7 @@ def patches(band: RidgeBand) -> PatchGrid:
     return patch_grid(band)
 
 
-def test_patches_lie_on_a_centred_grid(band: RidgeBand, patches: PatchGrid) -> None:
+def test_patches_lie_on_a_centred_grid(band, patches):
     assert (patches.side, patches.step, patches.reach) == (24, 16, 4)
     assert patches.grid == (4, 3)  # (83 - 24) // 16 + 1, (67 - 24) // 16 + 1
     np.testing.assert_array_equal(patches.origin, [5 + 11.5, 5 + 11.5])
@@ -114,7 +114,7 @@ def test_patches_lie_on_a_centred_grid(band: RidgeBand, patches: PatchGrid) -> N
         assert patches.energy[number] == pytest.approx((band.value[square] ** 2).sum(), rel=1e-5)
 
 
-def test_a_band_smaller_than_a_patch_has_one() -> None:
+def test_a_band_smaller_than_a_patch_has_one():
     small = texture(2, 20, 23)
     patches = patch_grid(small)
     assert patches.grid == (1, 1)
@@ -125,7 +125,7 @@ def test_a_band_smaller_than_a_patch_has_one() -> None:
     assert agreement.correlation[0] == pytest.approx(1, abs=0.03)
 
 
-def test_patches_correlate_as_plain_sums_do(band: RidgeBand, patches: PatchGrid) -> None:
+def test_patches_correlate_as_plain_sums_do(band, patches):
     """One patch alone, where no neighbour has a say."""
     alone = replace(
         patches,
@@ -153,7 +153,7 @@ def test_patches_correlate_as_plain_sums_do(band: RidgeBand, patches: PatchGrid)
     assert agreement.weight[0] == pytest.approx(alone.fraction[0])
 
 
-def test_flat_patches_do_not_count_for_more_than_they_show(patches: PatchGrid) -> None:
+def test_flat_patches_do_not_count_for_more_than_they_show(patches):
     """What is nearly without contrast is divided by a twentieth of the usual power."""
     faint = replace(patches, energy=np.full_like(patches.energy, 1e-6))
     zero = RidgeBand(np.full((83, 67), 1e-4, np.float32), np.ones((83, 67), bool), 0.1)
@@ -166,7 +166,7 @@ def agreement_of(shift: np.ndarray, correlation: np.ndarray | float = 0.8) -> Ag
     return Agreement(np.arange(count), full, shift, np.ones(count, np.float32))
 
 
-def test_an_affine_fit_needs_six_patches_that_correlate() -> None:
+def test_an_affine_fit_needs_six_patches_that_correlate():
     patches = patch_grid(texture(1, 150, 130))
     correlation = np.zeros(len(patches.cell), np.float32)
     shift = np.ones((len(correlation), 2))
@@ -177,7 +177,7 @@ def test_an_affine_fit_needs_six_patches_that_correlate() -> None:
     assert elastic.better_affine(patches, agreement_of(shift, correlation), IDENTITY) is IDENTITY
 
 
-def test_bent_patches_are_compared_where_the_bend_takes_them() -> None:
+def test_bent_patches_are_compared_where_the_bend_takes_them():
     """A uniform bend does what the same shift of the affine map does."""
     b = texture(4, 120, 110)
     a = texture(4, 120, 110)
@@ -193,7 +193,7 @@ def test_bent_patches_are_compared_where_the_bend_takes_them() -> None:
     assert np.median(np.abs(by_bend.shift - by_map.shift)) < 0.01
 
 
-def test_all_that_overlaps_is_correlated() -> None:
+def test_all_that_overlaps_is_correlated():
     a, b = texture(4, 120, 110, invalid=20), texture(4, 120, 110)
     b = replace(b, value=0.7 * b.value + 0.3 * texture(5, 120, 110).value)
     patches = patch_grid(b)
@@ -208,7 +208,7 @@ def test_all_that_overlaps_is_correlated() -> None:
     assert elastic.overlap_correlation(patches, a, b, far, bend) == (0, 0)
 
 
-def test_a_bend_is_laid_where_its_patches_lie() -> None:
+def test_a_bend_is_laid_where_its_patches_lie():
     """Where the bend grows across the finger, the search finds what takes it back."""
     b = texture(4, 150, 130)
     patches = patch_grid(b)
@@ -223,7 +223,7 @@ def test_a_bend_is_laid_where_its_patches_lie() -> None:
     np.testing.assert_allclose(agreement.shift[inner, 0], expected[inner], atol=0.2)
 
 
-def test_windows_of_odd_sides_are_searched_too() -> None:
+def test_windows_of_odd_sides_are_searched_too():
     b = replace(texture(4, 150, 130), pitch_mm=0.096)
     patches = patch_grid(b)
     assert (patches.side, patches.reach) == (25, 4)

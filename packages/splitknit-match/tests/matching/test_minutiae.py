@@ -74,9 +74,7 @@ def random_minutiae(count: int, seed: int = 0, size: tuple[int, int] = (380, 360
     )
 
 
-def test_minutiae_lie_where_the_finger_has_them(
-    masters: list[MasterPrint], minutiae: list[Minutiae]
-) -> None:
+def test_minutiae_lie_where_the_finger_has_them(masters, minutiae):
     """Places within a pixel on average, directions within a step of mindtct's (11.25 deg), against
     the truth."""
     step = 25.4 / 500
@@ -99,9 +97,7 @@ def test_minutiae_lie_where_the_finger_has_them(
     assert (np.abs(np.mean(errors_px, axis=0)) < 1).all()
 
 
-def test_minutiae_are_in_pixels_and_in_mm_from_the_middle(
-    minutiae: list[Minutiae], prints: list[np.ndarray]
-) -> None:
+def test_minutiae_are_in_pixels_and_in_mm_from_the_middle(minutiae, prints):
     first = minutiae[0]
     assert first.acquired
     assert first.size == prints[0].shape
@@ -119,9 +115,7 @@ def test_minutiae_are_in_pixels_and_in_mm_from_the_middle(
     shift=st.tuples(st.integers(-120, 120), st.integers(-120, 120)),
     missing=st.floats(0, 0.3),
 )
-def test_turned_shifted_and_missing_minutiae_are_recognised(
-    seed: int, angle: float, shift: tuple[int, int], missing: float
-) -> None:
+def test_turned_shifted_and_missing_minutiae_are_recognised(seed, angle, shift, missing):
     """On both sides some are missing, and others are put in their place."""
     first = random_minutiae(45, seed)
     place = (first.x_px - 180 + 1j * (first.y_px - 190)) * np.exp(-1j * angle)
@@ -141,20 +135,20 @@ def test_turned_shifted_and_missing_minutiae_are_recognised(
 
 
 def test_two_prints_of_a_finger_score_higher_than_those_of_two_fingers(
-    minutiae: list[Minutiae],
-) -> None:
+    minutiae,
+):
     impostors = ((0, 1), (0, 2), (1, 2), (1, 3), (2, 3))
     assert minutiae_match(minutiae[0], minutiae[3]) > 3
     assert max(minutiae_match(minutiae[i], minutiae[j]) for i, j in impostors) < 1.8
 
 
-def test_the_order_of_minutiae_does_not_matter(minutiae: list[Minutiae]) -> None:
+def test_the_order_of_minutiae_does_not_matter(minutiae):
     first, again = minutiae[0], minutiae[3]
     order = np.random.default_rng(0).permutation(first.count)
     assert minutiae_match(first.taken(order), again) == minutiae_match(first, again)
 
 
-def test_of_too_many_minutiae_the_best_are_compared() -> None:
+def test_of_too_many_minutiae_the_best_are_compared():
     """100 good ones and 50 bad ones among them: the bad ones change what a print shows at most."""
     good, bad = random_minutiae(100, 1), random_minutiae(50, 2)
     good = replace(good, quality=np.full(100, 80, np.uint8))
@@ -167,9 +161,7 @@ def test_of_too_many_minutiae_the_best_are_compared() -> None:
         )
 
 
-def test_prints_of_1000_ppi_are_resampled(
-    prints: list[np.ndarray], minutiae: list[Minutiae]
-) -> None:
+def test_prints_of_1000_ppi_are_resampled(prints, minutiae):
     large = cv2.resize(prints[0], None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     fine = extract(large, 1000.0)
     assert fine.size == prints[0].shape
@@ -179,9 +171,7 @@ def test_prints_of_1000_ppi_are_resampled(
 @needs_nbis
 @pytest.mark.parametrize("shape", [(1, 1), (8, 8), (63, 200), (90, 90), (300, 80)])
 @pytest.mark.parametrize("content", ["white", "black", "noise"])
-def test_images_without_a_print_are_failures_to_acquire(
-    shape: tuple[int, int], content: str
-) -> None:
+def test_images_without_a_print_are_failures_to_acquire(shape, content):
     image = {
         "white": np.full(shape, 255, np.uint8),
         "black": np.zeros(shape, np.uint8),
@@ -195,7 +185,7 @@ def test_images_without_a_print_are_failures_to_acquire(
         assert nfiq2(image) == NFIQ2_FAILED
 
 
-def test_failures_to_acquire_score_0(minutiae: list[Minutiae]) -> None:
+def test_failures_to_acquire_score_0(minutiae):
     nothing = unpack_minutiae(b"")
     assert not nothing.acquired
     assert pack_minutiae(nothing) == b""
@@ -203,13 +193,13 @@ def test_failures_to_acquire_score_0(minutiae: list[Minutiae]) -> None:
     assert minutiae_match(minutiae[0].taken(np.arange(9)), minutiae[0]) == 0
 
 
-def test_equal_prints_are_of_equal_quality(prints: list[np.ndarray]) -> None:
+def test_equal_prints_are_of_equal_quality(prints):
     """Without the tests' own memory of earlier prints (match_fixtures.py)."""
     first, second = (nfiq2.__wrapped__(prints[0].copy()) for _ in range(2))
     assert first == second
 
 
-def test_nfiq2_is_lower_for_a_spoilt_print(nbis, prints: list[np.ndarray]) -> None:
+def test_nfiq2_is_lower_for_a_spoilt_print(nbis, prints):
     noise = np.random.default_rng(1).normal(0, 90, prints[0].shape)
     spoilt = np.clip(cv2.GaussianBlur(prints[0], (0, 0), 2.5) + noise, 0, 255).astype(np.uint8)
     assert 0 <= nfiq2(spoilt) < nfiq2(prints[0]) <= 100
@@ -226,12 +216,12 @@ def test_nfiq2_is_lower_for_a_spoilt_print(nbis, prints: list[np.ndarray]) -> No
         (np.zeros((2000, 90), np.uint8), 100.0, "larger than a finger"),
     ],
 )
-def test_bad_prints_are_refused(image: np.ndarray, ppi: float, words: str) -> None:
+def test_bad_prints_are_refused(image, ppi, words):
     with pytest.raises(BadInput, match=words):
         extract(image, ppi)
 
 
-def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch):
     from splitknit_match.prints.minutiae import extractor
 
     real = builtins.__import__
@@ -250,7 +240,7 @@ def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.Monke
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), count=st.integers(0, 300))
-def test_packed_minutiae_come_back(seed: int, count: int) -> None:
+def test_packed_minutiae_come_back(seed, count):
     before = random_minutiae(count, seed)
     after = unpack_minutiae(pack_minutiae(before))
     for name in ("x_px", "y_px", "type", "quality"):
@@ -262,7 +252,7 @@ def test_packed_minutiae_come_back(seed: int, count: int) -> None:
 
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(place=st.integers(0, 1 << 20), change=st.integers(1, 255), cut=st.integers(0, 30))
-def test_changed_or_cut_bytes_are_refused(place: int, change: int, cut: int) -> None:
+def test_changed_or_cut_bytes_are_refused(place, change, cut):
     data = bytearray(pack_minutiae(random_minutiae(20)))
     where = place % len(data)
     data[where] ^= change
@@ -272,7 +262,7 @@ def test_changed_or_cut_bytes_are_refused(place: int, change: int, cut: int) -> 
         unpack_minutiae(bytes(data[: len(data) - cut]))
 
 
-def test_contradictory_minutiae_are_refused() -> None:
+def test_contradictory_minutiae_are_refused():
     three = random_minutiae(3)
     with pytest.raises(BadInput, match="one length"):
         replace(three, x_px=three.x_px[:2])

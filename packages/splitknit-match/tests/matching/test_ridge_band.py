@@ -20,7 +20,7 @@ def stripes(turn: float, period_mm: float = 0.45, side: int = 300) -> np.ndarray
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.5, 1.2, -0.9])
-def test_ridges_of_any_direction_get_the_same_contrast(turn: float) -> None:
+def test_ridges_of_any_direction_get_the_same_contrast(turn):
     gain = np.linspace(0.5, 2.0, 300, dtype=np.float32)  # contrast that changes over the finger
     band = ridge_band(stripes(turn) * gain, np.ones((300, 300), np.bool_), PITCH)
     assert band.value.shape == (150, 150)
@@ -32,7 +32,7 @@ def test_ridges_of_any_direction_get_the_same_contrast(turn: float) -> None:
     assert left == pytest.approx(right, rel=0.1)
 
 
-def test_wide_shapes_are_taken_out() -> None:
+def test_wide_shapes_are_taken_out():
     _, columns = np.mgrid[0:300, 0:300]
     hill = (0.5 * np.cos((columns - 150) / 100)).astype(np.float32)
     mask = np.ones((300, 300), np.bool_)
@@ -43,7 +43,7 @@ def test_wide_shapes_are_taken_out() -> None:
     assert np.corrcoef(plain[inner].ravel(), hilly[inner].ravel())[0, 1] > 0.99
 
 
-def test_ridges_even_on_a_cylinder_are_even_in_the_band() -> None:
+def test_ridges_even_on_a_cylinder_are_even_in_the_band():
     radius, side = 8.0, 300
     x = (np.arange(side) - 149.5) * PITCH  # up to 69 deg of slant
     arc = radius * np.arcsin(x / radius)
@@ -61,7 +61,7 @@ def test_ridges_even_on_a_cylinder_are_even_in_the_band() -> None:
     np.testing.assert_allclose(np.diff(places)[8:-8], 5.0, atol=0.06)
 
 
-def test_skin_without_ridges_is_left_out() -> None:
+def test_skin_without_ridges_is_left_out():
     rng = np.random.default_rng(0)
     relief = stripes(0.3)
     relief[:, 150:] = 0.0005 * rng.normal(size=(300, 150))
@@ -70,7 +70,7 @@ def test_skin_without_ridges_is_left_out() -> None:
     assert not band.valid[20:-20, 90:].any()
 
 
-def test_prints_are_mirrored_and_inverted() -> None:
+def test_prints_are_mirrored_and_inverted():
     ridge = stripes(0.5)
     # ink: ridges dark, mirrored
     picture = np.clip(128 - 3000 * ridge[:, ::-1], 0, 255).astype(np.uint8)
@@ -80,7 +80,7 @@ def test_prints_are_mirrored_and_inverted() -> None:
     assert np.corrcoef(from_print.value[inner].ravel(), band.value[inner].ravel())[0, 1] > 0.95
 
 
-def test_impossible_pitches_and_sizes_are_refused() -> None:
+def test_impossible_pitches_and_sizes_are_refused():
     mask = np.ones((60, 60), bool)
     relief = np.zeros((60, 60), np.float32)
     for pitch_mm, words in ((1e-300, "pitch_mm"), (1e9, "pitch_mm"), (9.0, "more than a finger's")):
@@ -106,9 +106,7 @@ def wave(angle_rad: float, period_mm: float = 0.5) -> np.ndarray:
 
 @pytest.mark.parametrize("angle_rad", [0.0, np.pi / 4, 1.0])
 @pytest.mark.parametrize(("second", "valid"), [(0.75, True), (0.87, False)])
-def test_skin_is_used_from_a_coherence_of_a_fifth(
-    angle_rad: float, second: float, valid: bool
-) -> None:
+def test_skin_is_used_from_a_coherence_of_a_fifth(angle_rad, second, valid):
     """Of two crossed waves it is the difference of their powers over the sum."""
     crossed = wave(angle_rad) + second * wave(angle_rad + np.pi / 2)
     band = ridge_band(crossed, ALL, PITCH_MM)
@@ -116,7 +114,7 @@ def test_skin_is_used_from_a_coherence_of_a_fifth(
 
 
 @pytest.mark.parametrize(("contrast", "expected"), [(0.5, 1.0), (0.2, 0.67), (0.1, 0.0)])
-def test_weak_contrast_is_raised_to_a_limit(contrast: float, expected: float) -> None:
+def test_weak_contrast_is_raised_to_a_limit(contrast, expected):
     relief = wave(0.5)
     relief[:, :80] *= contrast
     band = ridge_band(relief, ALL, PITCH_MM)
@@ -125,7 +123,7 @@ def test_weak_contrast_is_raised_to_a_limit(contrast: float, expected: float) ->
     assert band.value[30:-30, 60:100].std() == pytest.approx(1, abs=0.05)
 
 
-def test_pixels_of_a_flat_band_are_steps_of_its_pitch() -> None:
+def test_pixels_of_a_flat_band_are_steps_of_its_pitch():
     transform = np.array([[0.8, 0.6, 5.0], [-0.6, 0.8, 7.0], [0, 0, 1]])
     columns, rows, slant_cos = band_places(ALL, None, transform, (31, 44), pitch_mm=0.05)
     assert columns.shape == rows.shape == slant_cos.shape == (16, 22)
@@ -142,7 +140,7 @@ def test_pixels_of_a_flat_band_are_steps_of_its_pitch() -> None:
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.6])
 @pytest.mark.parametrize("middle_px", [119.5, 90.0])
-def test_pixels_of_a_cylinder_are_steps_along_its_skin(angle_rad: float, middle_px: float) -> None:
+def test_pixels_of_a_cylinder_are_steps_along_its_skin(angle_rad, middle_px):
     """The skin is measured from the middle of what is known; its axis may lie elsewhere."""
     radius_mm = 6.5
     y, x = np.mgrid[:SIDE, :SIDE].astype(float)
@@ -169,7 +167,7 @@ def test_pixels_of_a_cylinder_are_steps_along_its_skin(angle_rad: float, middle_
     assert np.ptp(np.argmin(places, axis=1)) <= 1
 
 
-def test_slopes_along_the_finger_count_as_slant_only() -> None:
+def test_slopes_along_the_finger_count_as_slant_only():
     slope = np.broadcast_to(-0.5 * PITCH_MM * np.arange(SIDE)[:, None], (SIDE, SIDE))
     columns, _, slant_cos = band_places(
         ALL, slope.astype(np.float32), np.eye(3), (SIDE, SIDE), pitch_mm=PITCH_MM
@@ -178,7 +176,7 @@ def test_slopes_along_the_finger_count_as_slant_only() -> None:
     np.testing.assert_allclose(slant_cos[40:-40, 40:-40], 1 / np.sqrt(1.25), atol=0.01)
 
 
-def test_steep_skin_is_left_out() -> None:
+def test_steep_skin_is_left_out():
     """Up to 60 degrees it is used."""
     for slant_deg, valid in ((57.0, True), (63.0, False)):
         slope = np.tan(np.deg2rad(slant_deg)) * PITCH_MM * np.arange(SIDE)[:, None]
@@ -187,7 +185,7 @@ def test_steep_skin_is_left_out() -> None:
         assert band.valid[INNER].mean() == pytest.approx(float(valid), abs=0.01)
 
 
-def test_what_lies_outside_the_mask_does_not_reach_in() -> None:
+def test_what_lies_outside_the_mask_does_not_reach_in():
     relief = wave(0.4)
     mask = np.zeros((SIDE, SIDE), bool)
     mask[40:200, 50:190] = True
@@ -206,7 +204,7 @@ def test_what_lies_outside_the_mask_does_not_reach_in() -> None:
     assert band.area_mm2 == pytest.approx(8 * 7, rel=0.05)
 
 
-def test_heights_that_are_not_finite_are_left_out() -> None:
+def test_heights_that_are_not_finite_are_left_out():
     relief = wave(0.4)
     relief[:, 120:] = np.nan
     band = ridge_band(relief, ALL, PITCH_MM)
@@ -217,7 +215,7 @@ def test_heights_that_are_not_finite_are_left_out() -> None:
     assert not ridge_band(wave(0.4), ALL, PITCH_MM, shape).valid[:, 66:].any()
 
 
-def test_a_relief_without_ridges_has_none() -> None:
+def test_a_relief_without_ridges_has_none():
     band = ridge_band(np.zeros((SIDE, SIDE), np.float32), ALL, PITCH_MM)
     assert band.value.shape == band.valid.shape == (120, 120)
     assert not band.valid.any()
@@ -225,7 +223,7 @@ def test_a_relief_without_ridges_has_none() -> None:
     assert band.pitch_mm == 0.1
 
 
-def test_bad_surfaces_are_refused_by_name() -> None:
+def test_bad_surfaces_are_refused_by_name():
     relief = np.zeros((20, 30), np.float32)
     mask = np.ones((20, 30), bool)
     cases = [
@@ -256,13 +254,13 @@ def picture(contrast: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("contrast", "valid"), [(0.24, False), (0.37, True)])
-def test_a_print_is_used_from_a_third_of_its_contrast(contrast: float, valid: bool) -> None:
+def test_a_print_is_used_from_a_third_of_its_contrast(contrast, valid):
     band = print_band(picture(contrast), 25.4 / PITCH_MM)
     assert band.valid[30:-30, 90:110].mean() == pytest.approx(float(valid), abs=0.05)
     assert band.valid[30:-30, 20:70].all()
 
 
-def test_a_print_is_used_inside_only() -> None:
+def test_a_print_is_used_inside_only():
     inside = np.zeros((SIDE, SIDE), bool)
     inside[:, :120] = True
     band = print_band(picture(1.0), 25.4 / PITCH_MM, inside)
@@ -275,7 +273,7 @@ def test_a_print_is_used_inside_only() -> None:
 
 
 @pytest.mark.parametrize("image", [np.zeros((0, 5), np.uint8), np.zeros((5, 5, 3), np.uint8)])
-def test_bad_prints_are_refused(image: np.ndarray) -> None:
+def test_bad_prints_are_refused(image):
     with pytest.raises(BadInput, match=r"a print must be \(H, W\) uint8, not \("):
         print_band(image)
     for ppi in (0.0, np.inf):
@@ -283,7 +281,7 @@ def test_bad_prints_are_refused(image: np.ndarray) -> None:
             print_band(np.zeros((5, 5), np.uint8), ppi)
 
 
-def test_a_ball_is_unrolled_from_the_middle_of_its_known_skin() -> None:
+def test_a_ball_is_unrolled_from_the_middle_of_its_known_skin():
     """That column of the picture stays straight; every row is as long as its arc."""
     radius_mm = 7.0
     y, x = np.mgrid[:SIDE, :SIDE] * PITCH_MM
@@ -306,7 +304,7 @@ def test_a_ball_is_unrolled_from_the_middle_of_its_known_skin() -> None:
     assert abs(((slant_cos[skin] - expected) * side).mean()) < 0.002
 
 
-def test_steep_sides_are_unrolled_as_if_they_were_less_steep() -> None:
+def test_steep_sides_are_unrolled_as_if_they_were_less_steep():
     """A roof whose slope is 3 beyond 2 mm: steps as at 60 degrees, on both sides."""
     x = (np.arange(SIDE) - 119.5) * PITCH_MM
     roof = np.broadcast_to(-3 * np.maximum(np.abs(x) - 2, 0), (SIDE, SIDE)).astype(np.float32)
@@ -317,7 +315,7 @@ def test_steep_sides_are_unrolled_as_if_they_were_less_steep() -> None:
         np.testing.assert_allclose(steps[inner], 1.0, atol=0.02)
 
 
-def test_an_offset_of_the_relief_changes_nothing_up_to_the_edge() -> None:
+def test_an_offset_of_the_relief_changes_nothing_up_to_the_edge():
     mask = np.zeros((SIDE, SIDE), bool)
     mask[40:200, 50:190] = True
     plain, offset = (ridge_band(wave(0.4) + add, mask, PITCH_MM) for add in (0, np.float32(20)))

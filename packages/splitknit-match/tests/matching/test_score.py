@@ -11,11 +11,11 @@ from splitknit_match.matching.score import calibrate_scores, dissimilarity
 
 
 @given(ratio=st.floats(0.9, 1.0), near=st.floats(0.0, 100.0), further=st.floats(0.001, 100.0))
-def test_higher_means_less_similar(ratio: float, near: float, further: float) -> None:
+def test_higher_means_less_similar(ratio, near, further):
     assert 0.0 <= dissimilarity(ratio, [near]) <= dissimilarity(ratio, [near + further]) <= 1.0
 
 
-def test_false_match_rates_are_never_too_low() -> None:
+def test_false_match_rates_are_never_too_low():
     scores = np.random.default_rng(5).normal(size=5000)
     table = calibrate_scores(scores)
     for threshold in np.linspace(-5, 5, 301):
@@ -29,7 +29,7 @@ def test_false_match_rates_are_never_too_low() -> None:
     assert np.all(np.diff(table.similarity) > 0)
 
 
-def test_extrapolated_rates_are_upper_limits() -> None:
+def test_extrapolated_rates_are_upper_limits():
     """Scores with the assumed tail: the true rate beyond the threshold seldom exceeds the stated
     one."""
     rng, stated = np.random.default_rng(0), 1e-5

@@ -34,7 +34,7 @@ from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
     columns=st.integers(1, 40),
     fraction=st.sampled_from([0.01, 0.5, 1]),
 )
-def test_packed_templates_come_back(seed: int, rows: int, columns: int, fraction: float) -> None:
+def test_packed_templates_come_back(seed, rows, columns, fraction):
     rng = np.random.default_rng(seed)
     valid = rng.random((rows, columns)) < fraction
     valid[rng.integers(rows), rng.integers(columns)] = True
@@ -47,7 +47,7 @@ def test_packed_templates_come_back(seed: int, rows: int, columns: int, fraction
 
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(data=st.binary(max_size=60))
-def test_any_bytes_are_a_template_or_refused(data: bytes) -> None:
+def test_any_bytes_are_a_template_or_refused(data):
     try:
         template = unpack(data)
     except BadInput as error:
@@ -57,12 +57,12 @@ def test_any_bytes_are_a_template_or_refused(data: bytes) -> None:
         assert pack(template) == data or template.empty
 
 
-def test_a_head_that_promises_much_costs_nothing() -> None:
+def test_a_head_that_promises_much_costs_nothing():
     with pytest.raises(BadInput):
         unpack(struct.pack("<HHIH", 2048, 2048, 2048 * 2048, 100))
 
 
-def test_failures_to_acquire_are_empty() -> None:
+def test_failures_to_acquire_are_empty():
     assert pack(failed_template()) == b""
     assert unpack(b"").empty
     rng = np.random.default_rng(0)
@@ -72,7 +72,7 @@ def test_failures_to_acquire_are_empty() -> None:
     assert make_template(flat).empty
 
 
-def test_templates_are_small_and_keep_the_ridges(impressions, templates) -> None:
+def test_templates_are_small_and_keep_the_ridges(impressions, templates):
     template = templates[0]
     band = impressions[0].band()
     # two bits a pixel, and the outline
@@ -84,7 +84,7 @@ def test_templates_are_small_and_keep_the_ridges(impressions, templates) -> None
     assert np.std(kept) == pytest.approx(1.0, abs=0.25)
 
 
-def test_ten_times_the_relief_is_the_same_template(impressions) -> None:
+def test_ten_times_the_relief_is_the_same_template(impressions):
     impression = impressions[3]
     a = impression.template()
     b = replace(impression, ridge_mm=10 * impression.ridge_mm + 0.01).template()
@@ -111,7 +111,7 @@ def minutiae_at(places: list[tuple[int, int]], size: tuple[int, int]) -> Minutia
     )
 
 
-def test_levels_and_their_values() -> None:
+def test_levels_and_their_values():
     value = np.array([[-2, -0.99, -0.97, -0.01, 0, 0.97, 0.98, 3]], np.float32)
     valid = np.ones(value.shape, bool)
     valid[0, -1] = False
@@ -130,7 +130,7 @@ def band_of(rows: int, columns: int, pitch_mm: float = 0.1) -> RidgeBand:
     return RidgeBand(value, np.ones((rows, columns), bool), pitch_mm)
 
 
-def test_templates_are_cut_to_what_is_valid() -> None:
+def test_templates_are_cut_to_what_is_valid():
     band = band_of(100, 90)
     band.valid[:, :20] = band.valid[70:] = False
     template = make_template(band)
@@ -150,7 +150,7 @@ def test_templates_are_cut_to_what_is_valid() -> None:
     assert not make_template(band_of(2048, 9, 0.2)).empty
 
 
-def test_runs_of_any_length_come_back() -> None:
+def test_runs_of_any_length_come_back():
     """Up to 65534 pixels in two bytes, longer ones in six."""
     for gap in (65533, 65534, 65535, 65536):
         valid = np.zeros((300, 300), bool)
@@ -174,7 +174,7 @@ def test_runs_of_any_length_come_back() -> None:
         np.testing.assert_array_equal(again.level, template.level)
 
 
-def test_first_pixels_stand_in_the_lowest_bits() -> None:
+def test_first_pixels_stand_in_the_lowest_bits():
     template = Template(np.array([[1, 2, 3, 0, 2]], np.uint8), np.ones((1, 5), bool), 0.1)
     assert pack(template)[-2:] == bytes([0b00111001, 0b10])
 
@@ -183,7 +183,7 @@ def test_first_pixels_stand_in_the_lowest_bits() -> None:
     "head",
     [(0, 5, 2, 100), (5, 0, 2, 100), (1, 5, 2, 0), (1, 5, 0, 100), (1, 5, 7, 100), (1, 6, 2, 100)],
 )
-def test_heads_that_contradict_the_runs_are_refused(head: tuple[int, ...]) -> None:
+def test_heads_that_contradict_the_runs_are_refused(head):
     payload = pack(Template(np.zeros((1, 5), np.uint8), np.ones((1, 5), bool), 0.1))
     wrong = "the template's content contradicts itself; enroll the finger again."
     nothing = struct.pack("<HHIHH", 5, 0, 1, 100, 0)
@@ -205,9 +205,7 @@ def test_heads_that_contradict_the_runs_are_refused(head: tuple[int, ...]) -> No
         (1, 1, 60001, False),
     ],
 )
-def test_templates_larger_than_a_finger_are_refused(
-    rows: int, columns: int, pitch_um: int, fits: bool
-) -> None:
+def test_templates_larger_than_a_finger_are_refused(rows, columns, pitch_um, fits):
     template = Template(
         np.zeros((rows, columns), np.uint8), np.ones((rows, columns), bool), pitch_um / 1000
     )
@@ -219,7 +217,7 @@ def test_templates_larger_than_a_finger_are_refused(
         unpack(pack(template))
 
 
-def test_an_enlarged_template_shows_the_same() -> None:
+def test_an_enlarged_template_shows_the_same():
     template = full(60, 50)
     template.valid[:, :10] = False
     template = leveled(template.value(), template.valid, 0.1)
@@ -250,7 +248,7 @@ def test_an_enlarged_template_shows_the_same() -> None:
     assert scaled(full(3, 40), 0.1).valid.shape == (1, 4)
 
 
-def test_a_mirrored_template_is_the_picture_in_a_mirror() -> None:
+def test_a_mirrored_template_is_the_picture_in_a_mirror():
     template = full(30, 40)
     template.valid[:, :10] = False
     size = print_size(template)
@@ -271,7 +269,7 @@ def test_a_mirrored_template_is_the_picture_in_a_mirror() -> None:
     assert mirrored(replace(full(3, 4), minutiae=no_minutiae())).minutiae.count == 0
 
 
-def test_minutiae_lie_on_the_ridges_they_were_found_on() -> None:
+def test_minutiae_lie_on_the_ridges_they_were_found_on():
     """The band is the print seen in a mirror, and cut."""
     size = 200, 180  # of the print, 500 ppi
     step = 0.1 * 500 / 25.4
@@ -297,7 +295,7 @@ def test_minutiae_lie_on_the_ridges_they_were_found_on() -> None:
     assert failed.empty
 
 
-def test_minutiae_are_kept_up_to_the_border() -> None:
+def test_minutiae_are_kept_up_to_the_border():
     template = full(60, 55)
     valid = np.zeros((100, 90), bool)
     valid[20:80, 30:85] = True

@@ -23,7 +23,7 @@ def ellipse(rows: int, columns: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("index", [0, 3, 6])
-def test_a_finger_is_most_similar_to_itself_moved(impressions, index: int) -> None:
+def test_a_finger_is_most_similar_to_itself_moved(impressions, index):
     """By two pixels: this matcher needs poses that differ little."""
     impression = impressions[index]
     fields = impression.normals, impression.ridge_mm, impression.mask
@@ -35,14 +35,14 @@ def test_a_finger_is_most_similar_to_itself_moved(impressions, index: int) -> No
     assert genuine > max(similarities.values())
 
 
-def test_a_finger_equals_itself(impressions) -> None:
+def test_a_finger_equals_itself(impressions):
     finger = impressions[0].images()
     match = thesis_match(finger, finger)
     assert match.similarity == 1.0
     assert set(match.distances.values()) == {0.0}
 
 
-def test_two_scales_are_refused(impressions) -> None:
+def test_two_scales_are_refused(impressions):
     finger = impressions[0].images()
     with pytest.raises(BadInput, match="px/mm"):
         thesis_match(finger, replace(finger, px_per_mm=75.7))

@@ -24,7 +24,7 @@ def finger(seed: int, px_per_mm: float = 75.7, columns: int = 100) -> FingerImag
 
 
 @pytest.mark.parametrize("neighbours", sorted(set(NEIGHBOURS.values())))
-def test_labels_are_those_of_single_pixels(neighbours: int) -> None:
+def test_labels_are_those_of_single_pixels(neighbours):
     image = np.random.default_rng(0).standard_normal((9, 11)).astype(np.float32)
     labels = pattern_labels(image, neighbours)
     label_of: dict[tuple[bool, ...], int] = {}
@@ -45,13 +45,13 @@ def test_labels_are_those_of_single_pixels(neighbours: int) -> None:
     assert flat.max() == neighbours * (neighbours - 1) + 1
 
 
-def test_a_finger_equals_itself() -> None:
+def test_a_finger_equals_itself():
     side = code_side(finger(1))
     same = code_match(side, side)
     assert (same.similarity, same.ratio, same.shift_px) == (1.0, 1.0, 0)
 
 
-def test_empty_columns_beside_a_finger_change_little() -> None:
+def test_empty_columns_beside_a_finger_change_little():
     image, columns = finger(3), ((0, 0), (0, 25))
     channels = {name: np.pad(channel, columns) for name, channel in image.channels.items()}
     wider = FingerImages(channels, np.pad(image.mask, columns), image.px_per_mm)
@@ -61,6 +61,6 @@ def test_empty_columns_beside_a_finger_change_little() -> None:
     assert match.similarity == pytest.approx(1.0, abs=0.02)
 
 
-def test_sides_of_two_scales_are_refused() -> None:
+def test_sides_of_two_scales_are_refused():
     with pytest.raises(BadInput, match="need one scale"):
         code_match(code_side(finger(1)), code_side(finger(1, px_per_mm=30)))

@@ -79,17 +79,17 @@ def assert_covers_both_sides(finger: Rolled) -> None:
 
 
 @pytest.mark.slow
-def test_ridges_around_the_finger_are_true(finger: Rolled) -> None:
+def test_ridges_around_the_finger_are_true(finger):
     assert_true_ridges(finger, 0.6)
 
 
 @pytest.mark.slow
-def test_the_mirrors_add_the_sides_to_the_front(finger: Rolled) -> None:
+def test_the_mirrors_add_the_sides_to_the_front(finger):
     assert_covers_both_sides(finger)
 
 
 @pytest.mark.slow
-def test_a_capture_of_a_perspective_camera_is_rolled() -> None:
+def test_a_capture_of_a_perspective_camera_is_rolled():
     capture, masks = scene.perspective()
     # under spreading rays outlines leave the height open by a millimetre
     parallel = scene.views_of(*scene.capture())
@@ -100,14 +100,14 @@ def test_a_capture_of_a_perspective_camera_is_rolled() -> None:
 
 
 @pytest.mark.slow
-def test_the_surface_is_the_finger(finger: Rolled) -> None:
+def test_the_surface_is_the_finger(finger):
     rows = (finger.chart.length_mm < 4) & (finger.chart.length_mm > -12)
     off = scene.off_surface_mm(finger.points_mm[rows].astype(np.float64))
     assert np.sqrt((off**2).mean()) < 0.15
 
 
 @pytest.mark.slow
-def test_one_mirror_shows_its_side() -> None:
+def test_one_mirror_shows_its_side():
     capture, masks = scene.capture()
     # the left mirror's light counts, its view does not
     both = scene.views_of(capture, masks)
@@ -124,7 +124,7 @@ def test_one_mirror_shows_its_side() -> None:
     assert not covered[np.abs(degrees + 95).argmin()]
 
 
-def test_captures_without_white_light_or_mirrors_are_refused() -> None:
+def test_captures_without_white_light_or_mirrors_are_refused():
     rig = scene.rig()
     for mirrors, words in (
         (rig.mirrors, "no band 'white'"),

@@ -44,7 +44,7 @@ def angle_deg(normal: np.ndarray, true: np.ndarray) -> float:
     return float(np.rad2deg(np.arccos(min(1.0, float(normal @ true)))))
 
 
-def test_the_body_of_three_views_is_the_finger(masks) -> None:
+def test_the_body_of_three_views_is_the_finger(masks):
     shape = body_between_mirrors(views(**masks), RIG)
     assert shape.cut == ()
     assert shape.useless == ()
@@ -53,7 +53,7 @@ def test_the_body_of_three_views_is_the_finger(masks) -> None:
         assert angle_deg(plane.normal, MIRRORS[name].normal) < 0.5
 
 
-def test_an_edge_that_is_taken_for_the_holder_behind_it_is_left_out(masks) -> None:
+def test_an_edge_that_is_taken_for_the_holder_behind_it_is_left_out(masks):
     right = masks["right"].copy()
     rows = np.flatnonzero(right.any(axis=1))
     for row in rows[len(rows) // 4 :]:
@@ -66,7 +66,7 @@ def test_an_edge_that_is_taken_for_the_holder_behind_it_is_left_out(masks) -> No
         assert angle_deg(plane.normal, MIRRORS[name].normal) < 1.0
 
 
-def test_a_cut_view_still_shows_where_its_mirror_lies(masks) -> None:
+def test_a_cut_view_still_shows_where_its_mirror_lies(masks):
     mirror = MIRRORS["left"]
     turn = np.deg2rad(1.0)
     turned = np.array(
@@ -88,7 +88,7 @@ def test_a_cut_view_still_shows_where_its_mirror_lies(masks) -> None:
     assert angle_deg(wrong.normal, mirror.normal) > 0.6
 
 
-def test_a_view_that_ends_beyond_the_rim_of_the_pad_is_refused(masks) -> None:
+def test_a_view_that_ends_beyond_the_rim_of_the_pad_is_refused(masks):
     """The far side alone makes no body."""
     left, mirror = masks["left"].copy(), MIRRORS["left"]
     left[:, : round((scene.SIZE[1] - 1) / 2 - 27.5 * scene.PX)] = False
@@ -97,7 +97,7 @@ def test_a_view_that_ends_beyond_the_rim_of_the_pad_is_refused(masks) -> None:
         body_between_mirrors(views(masks["front"], left=left), replace(RIG, mirrors=(near,)))
 
 
-def test_a_rolled_finger_is_flat_where_it_rolled_to(masks) -> None:
+def test_a_rolled_finger_is_flat_where_it_rolled_to(masks):
     body = body_between_mirrors(views(**masks), RIG).body
     chart = _shape_of(body).chart
     radius = np.full(chart.shape, 7.0)

@@ -37,14 +37,14 @@ def ring() -> np.ndarray:
 
 
 @pytest.mark.parametrize("slant_deg", [5.0, 48.0])
-def test_slopes_are_held_as_much_as_is_asked_for(ring, slant_deg: float) -> None:
+def test_slopes_are_held_as_much_as_is_asked_for(ring, slant_deg):
     assert tilted(slant_deg, 0.0, ring) == pytest.approx([0.2, 0.2], abs=2e-3)
     some, more = (np.abs(tilted(slant_deg, held, ring)) for held in (0.5, 2.0))
     assert some.max() < 0.19
     assert (more < 0.8 * some).all()
 
 
-def test_a_slope_that_the_lights_show_well_is_held_less(ring) -> None:
+def test_a_slope_that_the_lights_show_well_is_held_less(ring):
     flat = ring * [1.0, 0.2, 1.0]  # these lights hardly show the slope along
     across, along = tilted(5.0, 0.1, flat)
     assert across > 0.15

@@ -26,7 +26,7 @@ def _rings(size: int = 300, period: float = 9.0) -> tuple[np.ndarray, np.ndarray
 
 
 @pytest.mark.parametrize(("period", "angle"), [(6, 30), (8.5, 120), (9.7, 77), (11, 0), (11, 90)])
-def test_direction_and_period_of_waves_are_measured(period: float, angle: float) -> None:
+def test_direction_and_period_of_waves_are_measured(period, angle):
     field = ridge_field(_waves(period, angle)[1])
     inner = (slice(10, -10),) * 2
     assert field.mask[inner].all()
@@ -38,7 +38,7 @@ def test_direction_and_period_of_waves_are_measured(period: float, angle: float)
     assert period_mm == pytest.approx(period * 25.4 / 500, rel=0.01)
 
 
-def test_ridges_are_enhanced_under_noise() -> None:
+def test_ridges_are_enhanced_under_noise():
     phase, image = _rings()
     rng = np.random.default_rng(5)
     noisy = np.clip(image + 90 * rng.standard_normal(image.shape), 0, 255).astype(np.uint8)
@@ -52,7 +52,7 @@ def test_ridges_are_enhanced_under_noise() -> None:
     assert np.corrcoef(enhanced.image[ring], image[ring])[0, 1] > 0.9  # dark stays dark
 
 
-def test_enhancement_is_that_of_a_gabor_filter_for_every_pixel() -> None:
+def test_enhancement_is_that_of_a_gabor_filter_for_every_pixel():
     _, image = _rings(size=300, period=8.0)
     enhanced = gabor_enhance(image)
     field = enhanced.field
@@ -73,7 +73,7 @@ def test_enhancement_is_that_of_a_gabor_filter_for_every_pixel() -> None:
     assert np.corrcoef(fast, slow)[0, 1] > 0.985
 
 
-def test_nothing_is_printed_beside_the_finger() -> None:
+def test_nothing_is_printed_beside_the_finger():
     _, image = _waves(9, 20)
     inside = np.zeros(image.shape, bool)
     inside[60:240, 60:240] = True
@@ -84,7 +84,7 @@ def test_nothing_is_printed_beside_the_finger() -> None:
 
 
 @pytest.mark.parametrize("enhance", [gabor_enhance, ridge_field])
-def test_images_without_ridges_or_of_2_mm_are_refused(enhance) -> None:
+def test_images_without_ridges_or_of_2_mm_are_refused(enhance):
     with pytest.raises(BadInput, match="no ridges"):
         enhance(np.full((200, 200), 255, np.uint8))
     with pytest.raises(BadInput, match="2 mm"):

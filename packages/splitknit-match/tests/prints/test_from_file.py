@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -83,9 +82,7 @@ def coloured(*seeds: int) -> np.ndarray:
         "16 bits",
     ],
 )
-def test_every_format_and_resolution_gives_the_same_print(
-    tmp_path: Path, scale: float, data: Data
-) -> None:
+def test_every_format_and_resolution_gives_the_same_print(tmp_path, scale, data):
     file = tmp_path / "scan.of.a.print"  # the bytes show the format
     file.write_bytes(data())
     (stored,) = read_print_file(file)
@@ -99,9 +96,7 @@ def test_every_format_and_resolution_gives_the_same_print(
 @pytest.mark.parametrize(
     ("scale", "low", "high"), [(0.6, 210, 410), (1.0, 350, 680), (2.0, 700, 1370)]
 )
-def test_a_print_without_resolution_is_refused_with_an_estimate(
-    tmp_path: Path, scale: float, low: int, high: int
-) -> None:
+def test_a_print_without_resolution_is_refused_with_an_estimate(tmp_path, scale, low, high):
     file = tmp_path / "scan.png"
     file.write_bytes(saved(spiral_print(scale=scale), "PNG", None))
     with pytest.raises(
@@ -119,7 +114,7 @@ def test_a_print_without_resolution_is_refused_with_an_estimate(
 
 
 @pytest.mark.parametrize("kind", ["PNG", "TIFF", "JPEG", "BMP"])
-def test_pixels_that_are_not_square_are_made_so(kind: str, tmp_path: Path) -> None:
+def test_pixels_that_are_not_square_are_made_so(kind, tmp_path):
     # 375 ppi along the columns
     narrow = cv2.resize(spiral_print(), (285, 500), interpolation=cv2.INTER_AREA)
     quality = {"quality": 95} if kind == "JPEG" else {}
@@ -136,7 +131,7 @@ def on_paper(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.pad(image, 60, constant_values=255)
 
 
-def test_white_ridges_are_turned_dark_and_reported(tmp_path: Path) -> None:
+def test_white_ridges_are_turned_dark_and_reported(tmp_path):
     file = tmp_path / "scan.png"
     down, right = np.mgrid[-1:1:500j, -1:1:380j]
     # it fades out, as where a finger touches less
@@ -149,7 +144,7 @@ def test_white_ridges_are_turned_dark_and_reported(tmp_path: Path) -> None:
     np.testing.assert_array_equal(stored.image, image)
 
 
-def test_ridges_are_turned_only_where_they_are_surely_light(tmp_path: Path) -> None:
+def test_ridges_are_turned_only_where_they_are_surely_light(tmp_path):
     """A wet print has a ground that is darker than its middle."""
     file, ground = tmp_path / "scan.png", 60
     down, right = np.mgrid[-1:1:500j, -1:1:380j]
@@ -164,7 +159,7 @@ def test_ridges_are_turned_only_where_they_are_surely_light(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("ridges", ["dark", "light"])
-def test_stated_ridges_are_taken_as_stated(ridges: str, tmp_path: Path) -> None:
+def test_stated_ridges_are_taken_as_stated(ridges, tmp_path):
     image = spiral_print()
     file, other = tmp_path / "scan.png", 255 - image
     for picture in (image, other):
@@ -175,7 +170,7 @@ def test_stated_ridges_are_taken_as_stated(ridges: str, tmp_path: Path) -> None:
         np.testing.assert_array_equal(found.image, picture if ridges == "dark" else 255 - picture)
 
 
-def test_ridges_of_arrays_are_dark_unless_stated() -> None:
+def test_ridges_of_arrays_are_dark_unless_stated():
     down, right = np.mgrid[-1:1:500j, -1:1:380j]
     touching = np.clip(3 - 3 * np.hypot(down, right), 0, 1)
     light = on_paper(np.round((255.0 - spiral_print()) * touching).astype(np.uint8))
@@ -187,7 +182,7 @@ def test_ridges_of_arrays_are_dark_unless_stated() -> None:
 
 
 @pytest.mark.slow
-def test_both_readings_are_compared_where_nothing_shows_which_is_right(tmp_path: Path) -> None:
+def test_both_readings_are_compared_where_nothing_shows_which_is_right(tmp_path):
     small = spiral_print()[100:200, 100:200]
     files = [tmp_path / name for name in ("whole.png", "negative.png", "impostor.png")]
     pictures = (spiral_print(), 255 - small, 255 - small[:, ::-1])
@@ -210,7 +205,7 @@ def test_both_readings_are_compared_where_nothing_shows_which_is_right(tmp_path:
         assert not result.findings
 
 
-def test_ridges_that_end_abruptly_are_of_unknown_polarity(tmp_path: Path) -> None:
+def test_ridges_that_end_abruptly_are_of_unknown_polarity(tmp_path):
     file, window = tmp_path / "scan.png", spiral_print()[120:380, 90:290]
     for image in (window, 255 - window, 255 - on_paper(spiral_print())):
         file.write_bytes(saved(image, "PNG", 500))
@@ -218,7 +213,7 @@ def test_ridges_that_end_abruptly_are_of_unknown_polarity(tmp_path: Path) -> Non
         assert codes == ["unknown-polarity"]
 
 
-def test_a_resolution_that_the_ridges_contradict_is_reported(tmp_path: Path) -> None:
+def test_a_resolution_that_the_ridges_contradict_is_reported(tmp_path):
     file = tmp_path / "scan.png"
     for ppi in (250, 1000):
         file.write_bytes(saved(spiral_print(), "PNG", ppi))
@@ -227,7 +222,7 @@ def test_a_resolution_that_the_ridges_contradict_is_reported(tmp_path: Path) -> 
         assert f"at {ppi} ppi its ridges are" in str(doubt)
 
 
-def test_ridges_that_lie_close_at_the_stated_resolution_get_a_note() -> None:
+def test_ridges_that_lie_close_at_the_stated_resolution_get_a_note():
     usual = resolution_doubt(PrintFile(spiral_print(), 560.0, {}))
     close = resolution_doubt(PrintFile(spiral_print(), 640.0, {}))
     assert usual is None
@@ -237,7 +232,7 @@ def test_ridges_that_lie_close_at_the_stated_resolution_get_a_note() -> None:
 
 
 @pytest.mark.parametrize("ppi", [250, pytest.param(1000, marks=pytest.mark.slow)])
-def test_a_resolution_that_the_ridges_contradict_gives_no_answer(ppi: int, tmp_path: Path) -> None:
+def test_a_resolution_that_the_ridges_contradict_gives_no_answer(ppi, tmp_path):
     sound, file, gallery = tmp_path / "sound.png", tmp_path / "scan.png", tmp_path / "people.skg"
     sound.write_bytes(saved(spiral_print(), "PNG", 500))
     enroll(gallery, sound, person="Ann", finger="left_index")
@@ -258,7 +253,7 @@ def test_a_resolution_that_the_ridges_contradict_gives_no_answer(ppi: int, tmp_p
 
 
 @pytest.mark.slow
-def test_a_resolution_that_only_the_other_print_contradicts_gives_no_answer(tmp_path: Path) -> None:
+def test_a_resolution_that_only_the_other_print_contradicts_gives_no_answer(tmp_path):
     """Ridges at 385 for 500 ppi are as wide as some people's, and more than minutiae drift on a
     print's upper part, but at one scale both prints match."""
     sound, file, impostor = (tmp_path / name for name in ("sound.png", "scan.png", "impostor.png"))
@@ -275,7 +270,7 @@ def test_a_resolution_that_only_the_other_print_contradicts_gives_no_answer(tmp_
     assert match(impostor, sound).answer == "no match"
 
 
-def test_resolutions_that_no_print_has_are_refused(tmp_path: Path) -> None:
+def test_resolutions_that_no_print_has_are_refused(tmp_path):
     file = tmp_path / "scan.jpg"
     file.write_bytes(saved(spiral_print(), "JPEG", 72))
     with pytest.raises(
@@ -292,14 +287,14 @@ def test_resolutions_that_no_print_has_are_refused(tmp_path: Path) -> None:
         read_one_finger(file, 100)
 
 
-def test_pictures_without_ridges_have_no_period() -> None:
+def test_pictures_without_ridges_have_no_period():
     noise = np.random.default_rng(1).integers(0, 256, (400, 400)).astype(np.uint8)
     squares, plain = np.kron(noise[:20, :20], np.ones((20, 20), np.uint8)), np.full_like(noise, 9)
     too_small = spiral_print()[200:240]
     assert [_ridge_period_px(image) for image in (noise, plain, squares, too_small)] == [None] * 4
 
 
-def test_a_touch_of_a_small_sensor_shows_its_resolution() -> None:
+def test_a_touch_of_a_small_sensor_shows_its_resolution():
     touch = spiral_print()[200:252, 100:203]
     whole = _ridge_period_px(spiral_print())
     assert whole is not None
@@ -322,9 +317,7 @@ def test_a_touch_of_a_small_sensor_shows_its_resolution() -> None:
     ],
     ids=["empty", "text", "pdf", "colour", "cut png", "cut bmp"],
 )
-def test_files_that_are_no_print_are_refused_in_one_sentence(
-    tmp_path: Path, data: Data, words: str
-) -> None:
+def test_files_that_are_no_print_are_refused_in_one_sentence(tmp_path, data, words):
     file = tmp_path / "scan.png"
     file.write_bytes(data())
     with pytest.raises(BadInput, match=words) as refused:
@@ -332,7 +325,7 @@ def test_files_that_are_no_print_are_refused_in_one_sentence(
     assert "\n" not in str(refused.value)
 
 
-def test_minutiae_of_records_lie_on_the_grid_of_500_ppi() -> None:
+def test_minutiae_of_records_lie_on_the_grid_of_500_ppi():
     same = minutiae_of(three_minutiae())
     np.testing.assert_array_equal(same.x_px, three_minutiae().x_px)
     fine = three_minutiae(resolution_ppcm=(394, 394), quality=np.array([80, 0, 0]))

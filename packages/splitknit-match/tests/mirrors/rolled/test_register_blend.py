@@ -27,7 +27,7 @@ def ridges(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
     return cv2.GaussianBlur(noise, (0, 0), 1.5) - cv2.GaussianBlur(noise, (0, 0), 2.5)
 
 
-def test_the_ridge_band_has_no_mean() -> None:
+def test_the_ridge_band_has_no_mean():
     relief = ridges((80, 80)) + 5.0
     band = ridges_of(relief, np.ones(relief.shape, bool), 0.1)
     assert abs(float(band.mean())) < 0.02
@@ -62,7 +62,7 @@ def bulged(chart: Chart, more: float, texture_seed: int = 3) -> tuple[np.ndarray
 
 @pytest.mark.slow
 @pytest.mark.parametrize("more", [0.3, -0.25])
-def test_the_search_measures_a_bulge_by_the_ridges(more: float) -> None:
+def test_the_search_measures_a_bulge_by_the_ridges(more):
     chart, radius = cylinder(7.0)
     first, second, both, truth = bulged(chart, more)
     # ridges are shifted by more than a period
@@ -78,7 +78,7 @@ def test_the_search_measures_a_bulge_by_the_ridges(more: float) -> None:
     assert not search(chart, radius, front, unrelated).radius_mm.any()
 
 
-def test_alignment_bends_only_the_side_whose_ridges_are_shifted() -> None:
+def test_alignment_bends_only_the_side_whose_ridges_are_shifted():
     chart, radius = cylinder(7.0)
     first, second, both, truth = bulged(chart, 0.04)
     # a left mirror's ridges lie where they should
@@ -98,7 +98,7 @@ def test_alignment_bends_only_the_side_whose_ridges_are_shifted() -> None:
     assert abs(turned.poses[1][1]) > 5 * abs(turned.poses[0][1])
 
 
-def test_a_side_that_no_mirror_shows_stays_as_it_is() -> None:
+def test_a_side_that_no_mirror_shows_stays_as_it_is():
     chart, radius = cylinder(7.0)
     first, second, both, _ = bulged(chart, 0.04)
     front = ViewRidges(FRONT, first, both)
@@ -108,7 +108,7 @@ def test_a_side_that_no_mirror_shows_stays_as_it_is() -> None:
     assert empty.radius_mm.max() == 0.0
 
 
-def test_views_fade_into_each_other() -> None:
+def test_views_fade_into_each_other():
     chart, radius = cylinder(7.0)
     points = chart.points(radius)
     normals = surface_normals(points)
