@@ -34,7 +34,7 @@ def result(capture: Capture) -> Reconstruction:
     return splitknit.reconstruct(capture, "ea")
 
 
-def test_dir_is_the_public_surface() -> None:
+def test_dir_is_the_public_surface():
     assert dir(splitknit) == sorted(splitknit.__all__)
     assert 15 <= len(splitknit.__all__) <= 30
     for name in splitknit.__all__:
@@ -43,7 +43,7 @@ def test_dir_is_the_public_surface() -> None:
         assert documented or isinstance(getattr(splitknit, name), type), name
 
 
-def test_no_public_function_has_the_name_of_a_module_beside_it() -> None:
+def test_no_public_function_has_the_name_of_a_module_beside_it():
     for name in splitknit.__all__:
         assert not (SRC / f"{name}.py").exists() and not (SRC / name).exists(), name
     program = (
@@ -55,7 +55,7 @@ def test_no_public_function_has_the_name_of_a_module_beside_it() -> None:
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_reprs_are_short(capture: Capture, result: Reconstruction) -> None:
+def test_reprs_are_short(capture, result):
     for thing in (capture, capture.rig, capture.bands["white"], result):
         assert len(repr(thing)) < 300, repr(thing)
     assert repr(result).startswith("Reconstruction(preset 'ea'")
@@ -63,9 +63,7 @@ def test_reprs_are_short(capture: Capture, result: Reconstruction) -> None:
     assert html.startswith('<img src="data:image/jpeg;base64,') and "<th>preset</th>" in html
 
 
-def test_a_result_is_saved_and_read_again(
-    capture: Capture, result: Reconstruction, tmp_path: Path
-) -> None:
+def test_a_result_is_saved_and_read_again(capture, result, tmp_path):
     result.save(tmp_path / "with", capture)
     result.save(tmp_path / "without")
     for name in ("with", "without"):
@@ -89,7 +87,7 @@ def test_a_result_is_saved_and_read_again(
 
 
 @pytest.mark.parametrize("text", ["[]", "{", '{"facts": 3}', '{"settings": "x"}'])
-def test_a_damaged_report_is_refused(result: Reconstruction, tmp_path: Path, text: str) -> None:
+def test_a_damaged_report_is_refused(result, tmp_path, text):
     result.save(tmp_path / "r")
     (tmp_path / "r" / "report.json").write_text(text)
     with pytest.raises(BadInput, match=r"report\.json.*; correct (it|the file)"):
@@ -97,9 +95,7 @@ def test_a_damaged_report_is_refused(result: Reconstruction, tmp_path: Path, tex
 
 
 @pytest.mark.slow
-def test_paths_and_objects_are_the_same(
-    capture: Capture, result: Reconstruction, tmp_path: Path
-) -> None:
+def test_paths_and_objects_are_the_same(capture, result, tmp_path):
     write_capture(capture, tmp_path / "c")
     by_path = splitknit.reconstruct(splitknit.read_capture(tmp_path / "c"), "ea")
     np.testing.assert_allclose(
@@ -117,12 +113,12 @@ def test_paths_and_objects_are_the_same(
     assert splitknit_match.make_print(capture, "photo").image.shape == printed.shape
 
 
-def test_a_folder_that_is_no_capture_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_capture_is_refused(tmp_path):
     with pytest.raises(BadInput, match="capture"):
         splitknit.read_capture(tmp_path)
 
 
-def test_lights_from_the_drawing(tmp_path: Path) -> None:
+def test_lights_from_the_drawing(tmp_path):
     calibration = splitknit_rig.calibrate_lights(
         out=tmp_path / "rig.json",
         geometry=True,

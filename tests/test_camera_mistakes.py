@@ -77,7 +77,7 @@ def doubts_of(capture: Capture) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MISTAKES)
-def test_the_cause_is_named(name: str) -> None:
+def test_the_cause_is_named(name):
     """First of all doubts; of the sound capture there is none."""
     change, code = MISTAKES[name]
     capture = stored(change, ambient=name not in {"lamp", "haze"})
@@ -87,7 +87,7 @@ def test_the_cause_is_named(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["sound", "gamma 0.8", "S curve", "local contrast"])
-def test_equal_lights_show_a_curve_by_their_shading(name: str) -> None:
+def test_equal_lights_show_a_curve_by_their_shading(name):
     """Light that is added to all images does not show there."""
     change, code = MISTAKES[name]
     codes = doubts_of(stored(change, equal=True))

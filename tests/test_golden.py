@@ -21,7 +21,7 @@ def golden() -> Any:
     return module
 
 
-def test_results_may_differ_by_a_thousandth_of_their_spread(golden: Any) -> None:
+def test_results_may_differ_by_a_thousandth_of_their_spread(golden):
     height = np.linspace(0.0, 1.0, 1000, dtype=np.float32).reshape(20, 50)
     spread = np.float32(height.std())
     nudged, shifted, local, cut = (height.copy() for _ in range(4))
@@ -30,7 +30,7 @@ def test_results_may_differ_by_a_thousandth_of_their_spread(golden: Any) -> None
     local[:4, :6] += 0.01  # mean and spread hardly change
     cut[0, :] = np.nan
 
-    def measured(array: Any, case: str = "metric") -> dict[str, Any]:
+    def measured(array, case="metric"):
         return {case: {"height_mm": golden.entry(array)}}
 
     assert golden.differences(measured(height), measured(height.copy())) == []
@@ -40,8 +40,8 @@ def test_results_may_differ_by_a_thousandth_of_their_spread(golden: Any) -> None
     assert len(golden.differences(measured(height), {})) == 1
 
 
-def test_a_score_is_compared_with_itself(golden: Any) -> None:
-    def scored(similarity: float) -> dict[str, Any]:
+def test_a_score_is_compared_with_itself(golden):
+    def scored(similarity):
         return {"match ridge": {"similarity": golden.entry(np.float64(similarity))}}
 
     assert golden.differences(scored(0.78), scored(0.787)) == []

@@ -14,7 +14,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -197,7 +196,7 @@ STRACE = works("strace", "-f", "true")
 
 
 @pytest.fixture(params=["strace", "audit hook"])
-def strace(request: Any) -> bool:
+def strace(request) -> bool:
     if request.param == "strace" and not STRACE:
         pytest.skip("strace is not installed, or may not trace")
     return request.param == "strace"
@@ -224,7 +223,7 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("what", PLANTED)
-def test_what_leaves_is_seen(tmp_path: Path, what: str, strace: bool) -> None:
+def test_what_leaves_is_seen(tmp_path, what, strace):
     kind, code = PLANTED[what]
     seen = violations(watched(code, tmp_path, strace=strace), tmp_path)
     if what.startswith("telemetry") and not seen:
@@ -232,7 +231,7 @@ def test_what_leaves_is_seen(tmp_path: Path, what: str, strace: bool) -> None:
     assert kind in {kind for kind, _ in seen}
 
 
-def test_what_stays_is_allowed(tmp_path: Path, strace: bool) -> None:
+def test_what_stays_is_allowed(tmp_path, strace):
     code = (
         "import socket, tempfile; socket.socket(type=socket.SOCK_DGRAM).connect_ex(('127.0.0.1',"
         " 9)); "
@@ -249,7 +248,7 @@ FINGERS = ("right_index", "left_index")
 
 
 @pytest.fixture(scope="module")
-def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def people(tmp_path_factory) -> Path:
     """Two fingers, 132 x 192 pixels."""
     folder = tmp_path_factory.mktemp("watched") / "people"
     simulate_population(
@@ -266,7 +265,7 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "run", ["verbs", "processes", pytest.param("demo", marks=pytest.mark.slow)]
 )
-def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> None:
+def test_nothing_leaves_the_machine(tmp_path, people, run):
     places = {"PEOPLE": str(people), "CAPTURE": str(people / "S01" / "session_1" / "right_index")}
     before = sorted(people.rglob("*"))
     if run != "processes":
@@ -282,7 +281,7 @@ def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> N
     assert sorted(people.rglob("*")) == before
 
 
-def test_every_verb_that_loads_a_network_is_watched() -> None:
+def test_every_verb_that_loads_a_network_is_watched():
     app = build_app()
     options = {
         words[0]: {

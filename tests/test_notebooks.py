@@ -19,22 +19,20 @@ def code_cells_of(notebook: Path) -> list[dict[str, Any]]:
     return [cell for cell in cells if cell["cell_type"] == "code"]
 
 
-def test_each_journey_has_a_notebook() -> None:
+def test_each_journey_has_a_notebook():
     names = [notebook.stem for notebook in NOTEBOOKS]
     assert names == ["look", "match", "object", "reconstruct", "rig"]
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_no_output_is_stored(notebook: Path) -> None:
+def test_no_output_is_stored(notebook):
     for cell in code_cells_of(notebook):
         assert cell["outputs"] == [] and cell["execution_count"] is None
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_and_draws(
-    notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_notebook_runs_and_draws(notebook, tmp_path, monkeypatch):
     pyplot = pytest.importorskip("matplotlib.pyplot")
     pyplot.switch_backend("Agg")
     monkeypatch.chdir(tmp_path)

@@ -238,12 +238,12 @@ def clauses() -> list[str]:
 
 
 @pytest.mark.parametrize("clause", clauses())
-def test_every_sentence_is_held_by_a_test_or_listed_as_untested(clause: str) -> None:
+def test_every_sentence_is_held_by_a_test_or_listed_as_untested(clause):
     assert [part for part in (*CLAIMS, *UNTESTED) if part in clause or clause.strip(".; |") in part]
 
 
 @pytest.mark.parametrize("claim", [*CLAIMS, *UNTESTED])
-def test_each_claim_stands_there_and_its_tests_exist(claim: str) -> None:
+def test_each_claim_stands_there_and_its_tests_exist(claim):
     assert claim in " ".join((ROOT / "SECURITY.md").read_text(encoding="utf-8").split())
     assert (claim in CLAIMS) != (claim in UNTESTED)
     for place in CLAIMS.get(claim, ()):

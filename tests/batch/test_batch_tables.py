@@ -28,7 +28,7 @@ ROWS: list[dict[str, Any]] = [
 
 
 @pytest.fixture
-def table(tmp_path: Path) -> Path:
+def table(tmp_path) -> Path:
     """Scores in a store."""
     file = tmp_path / "store" / "scores" / "ea" / "ridge" / "0.npz"
     write_table(file, ROWS, {"kind": "scores"})
@@ -39,7 +39,7 @@ def scores(table: Path) -> Any:
     return Store(table.parents[3]).scores("ea", "ridge")
 
 
-def test_a_sound_table_is_read(table: Path) -> None:
+def test_a_sound_table_is_read(table):
     assert rows_of(scores(table)) == ROWS
     assert list(read_table(table, ["b", "a"])) == ["b", "a"]
     assert read_origin(table) == {"kind": "scores"}
@@ -47,7 +47,7 @@ def test_a_sound_table_is_read(table: Path) -> None:
         read_table(table, ["template"])
 
 
-def test_payloads_and_numbers_that_are_missing_come_back(tmp_path: Path) -> None:
+def test_payloads_and_numbers_that_are_missing_come_back(tmp_path):
     row = {"capture": "a", "template": b"\0x\0", "warnings": '["dark"]', "area_mm2": None}
     for file in (tmp_path / "x.npz", tmp_path / "y.npz"):
         write_table(file, [row | {"print": b""}], {})
@@ -59,7 +59,7 @@ def test_payloads_and_numbers_that_are_missing_come_back(tmp_path: Path) -> None
     np.testing.assert_array_equal(table["area_mm2"], [np.nan])
 
 
-def test_of_a_pair_that_lies_in_two_tables_the_first_counts(table: Path) -> None:
+def test_of_a_pair_that_lies_in_two_tables_the_first_counts(table):
     write_table(table.with_name("1.npz"), [ROWS[1] | {"similarity": 0.7}, ROWS[0]], {})
     assert rows_of(scores(table)) == ROWS
 
@@ -76,9 +76,7 @@ def test_of_a_pair_that_lies_in_two_tables_the_first_counts(table: Path) -> None
         ({"template": np.zeros(3, np.uint8)}, "damaged"),
     ],
 )
-def test_columns_of_another_kind_are_refused(
-    table: Path, change: dict[str, Any], words: str
-) -> None:
+def test_columns_of_another_kind_are_refused(table, change, words):
     columns = {name: np.array([row[name] for row in ROWS]) for name in COLUMNS} | change
     write_npz(table, {name: values for name, values in columns.items() if values is not None})
     with pytest.raises(BadInput, match=words) as caught:
@@ -86,7 +84,7 @@ def test_columns_of_another_kind_are_refused(
     assert "\n" not in str(caught.value)
 
 
-def test_damage_is_refused_in_a_sentence(table: Path) -> None:
+def test_damage_is_refused_in_a_sentence(table):
     whole = table.read_bytes()
     for content in (b"", b"PAR1", whole[:-9], whole[:100] + whole[120:]):
         table.write_bytes(content)
@@ -103,9 +101,7 @@ def test_damage_is_refused_in_a_sentence(table: Path) -> None:
             read_origin(table)
 
 
-def test_sizes_are_checked_before_a_table_is_read(
-    table: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sizes_are_checked_before_a_table_is_read(table, monkeypatch):
     write_table(table, [row | {"a": "x" * 1_000_000} for row in ROWS], {})
     monkeypatch.setattr("splitknit_match.batch.tables.MAX_BYTES", 500_000)
     assert table.stat().st_size < 100_000
@@ -114,7 +110,7 @@ def test_sizes_are_checked_before_a_table_is_read(
 
 
 @pytest.mark.parametrize("name", ["", "S01", "S01/right_index", "a/b/c/d"])
-def test_names_that_are_no_captures_are_refused(table: Path, name: str) -> None:
+def test_names_that_are_no_captures_are_refused(table, name):
     write_table(table, [row | {"a": name} for row in ROWS], {})
     with pytest.raises(BadInput, match="names no capture"):
         write_scores(table.with_name("x.csv"), scores(table))

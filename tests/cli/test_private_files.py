@@ -23,12 +23,12 @@ def _modes(folder: Path) -> tuple[set[int], set[int]]:
     ("option", "modes"), [([], (0o600, 0o700)), (["--group-readable"], (0o640, 0o750))]
 )
 def test_verbs_write_private_files(
-    option: list[str],
-    modes: tuple[int, int],
-    twin_folder: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    option,
+    modes,
+    twin_folder,
+    tmp_path,
+    capsys,
+):
     out = tmp_path / "out"
     before = os.environ.get(GROUP_READABLE, "")
     umask = os.umask(0)

@@ -81,7 +81,7 @@ POSE: dict[str, Any] = {"roll": 0.12, "yaw": 0.08, "moved": (0.6, -0.4)}
 
 
 @pytest.mark.slow
-def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported() -> None:
+def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported():
     a, b = laid_down(), laid_down(**POSE, um=25.0)
     comparison = compare_results(a, b)
     assert np.rad2deg(np.arccos((np.trace(comparison.rotation) - 1) / 2)) == pytest.approx(
@@ -101,13 +101,13 @@ def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported() -> Non
 
 
 @pytest.mark.parametrize("fit", ["rigid", "elastic"])
-def test_a_surface_differs_from_itself_by_nothing(fit: Any) -> None:
+def test_a_surface_differs_from_itself_by_nothing(fit):
     comparison = compare_results(laid_down(), laid_down(), fit=fit)
     assert comparison.figures["relief"][MAIN]["rms_um"]["value"] < 0.1
     assert "same measurement, to the last digit" in str(comparison.findings[0])
 
 
-def test_a_perspective_camera_sees_the_same_surface() -> None:
+def test_a_perspective_camera_sees_the_same_surface():
     """Its pixels lie up to 0.1 mm beside those of parallel rays (ridges in between follow the
     smooth body's depth)."""
     figures = compare_results(laid_down(), laid_down(near_mm=60.0)).figures
@@ -116,7 +116,7 @@ def test_a_perspective_camera_sees_the_same_surface() -> None:
 
 
 @pytest.mark.slow
-def test_what_lies_steeper_than_60_deg_is_not_compared() -> None:
+def test_what_lies_steeper_than_60_deg_is_not_compared():
     true = laid_down(half_mm=7.5)
     x = np.arange(-7.9, 7.9, PITCH)
     beyond = np.maximum(np.rad2deg(np.arcsin(np.clip(np.abs(x) / RADIUS_MM, 0, 0.95))) - 61.0, 0.0)
@@ -126,7 +126,7 @@ def test_what_lies_steeper_than_60_deg_is_not_compared() -> None:
 
 
 @pytest.mark.slow
-def test_skin_that_has_shifted_is_followed_by_the_elastic_fit() -> None:
+def test_skin_that_has_shifted_is_followed_by_the_elastic_fit():
     a, b = laid_down(), laid_down(**POSE, stretched=0.03)
     stiff, soft = compare_results(a, b), compare_results(a, b, fit="elastic")
     rms = [
@@ -138,7 +138,7 @@ def test_skin_that_has_shifted_is_followed_by_the_elastic_fit() -> None:
     assert "above 8 mm" not in soft.figures
 
 
-def test_other_ridges_and_unknown_scales_are_refused() -> None:
+def test_other_ridges_and_unknown_scales_are_refused():
     with pytest.raises(BadInput, match="not the same"):
         compare_results(laid_down(), laid_down(whorl=-1.5))
     with pytest.raises(BadInput, match="scale"):
@@ -146,9 +146,7 @@ def test_other_ridges_and_unknown_scales_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_the_verb_writes_a_private_report_and_states_the_protocols_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_verb_writes_a_private_report_and_states_the_protocols_error(tmp_path, capsys):
     for name, result in {"a": laid_down(), "b": laid_down(**POSE)}.items():
         write_arrays(tmp_path / f"{name}.npz", result, provenance())
     a, b, out = str(tmp_path / "a.npz"), str(tmp_path / "b.npz"), tmp_path / "r"
@@ -179,7 +177,7 @@ def test_the_verb_writes_a_private_report_and_states_the_protocols_error(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_the_stated_errors_are_those_of_the_study() -> None:
+def test_the_stated_errors_are_those_of_the_study():
     study = json.loads((Path(__file__).parents[2] / "validation/pair/results.json").read_text())
     names = {"gel": "gel", "cast": "cast, elastic"} | {
         f"powder-{um}": f"powder {um} um" for um in (5, 10, 20)

@@ -49,14 +49,14 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_every_verb_that_writes_is_stopped_at_drawn_moments() -> None:
+def test_every_verb_that_writes_is_stopped_at_drawn_moments():
     verbs, words = set(registered(GROUP)), list(VERBS.values())
     stopped = {verb for verb in verbs if any(command.startswith(f"{verb} ") for command in words)}
     assert verbs - stopped == set(NOT_STOPPED)
 
 
 @pytest.mark.slow
-def test_every_reader_gives_a_result_or_one_sentence(tmp_path: Path) -> None:
+def test_every_reader_gives_a_result_or_one_sentence(tmp_path):
     done = run("-m", "tests.fuzz.run", "--inputs", "820", "--keep", str(tmp_path / "findings"))
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr == ""
@@ -64,7 +64,7 @@ def test_every_reader_gives_a_result_or_one_sentence(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_goes_wrong_is_found_made_small_and_kept(tmp_path: Path) -> None:
+def test_what_goes_wrong_is_found_made_small_and_kept(tmp_path):
     done = run("-c", HARNESS, str(tmp_path))
     assert done.returncode == 1, done.stdout + done.stderr
     assert f" {len(PLANTED)} findings" in done.stdout

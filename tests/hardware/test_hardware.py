@@ -39,7 +39,7 @@ def led(band: str, **changes: object) -> SimpleNamespace:
     return getattr(circuit(**{band: changes}), band)
 
 
-def test_a_file_of_dimensions_changes_what_it_names(tmp_path: Path) -> None:
+def test_a_file_of_dimensions_changes_what_it_names(tmp_path):
     own = tmp_path / "own.toml"
     own.write_text(
         "[rig]\ncamera_height_mm = 120.0\nled_radius_mm = 45.0\n[finger]\nreach_mm = 44.0\n"
@@ -66,15 +66,13 @@ def test_a_file_of_dimensions_changes_what_it_names(tmp_path: Path) -> None:
         ({"rig": {"side": 1}}, "from 2 to 7"),
     ],
 )
-def test_rigs_that_cannot_be_built_are_refused(
-    changes: dict[str, dict[str, object]], words: str
-) -> None:
+def test_rigs_that_cannot_be_built_are_refused(changes, words):
     with pytest.raises(BadInput, match=words):
         s = read_dimensions(changes=changes)
         check_dimensions(dimensions_of(films.rig_of(s), s))
 
 
-def test_mirrors_stand_where_the_simulator_has_them() -> None:
+def test_mirrors_stand_where_the_simulator_has_them():
     enlarged = {
         "tip_margin_mm": 27.0,
         "pad_height_mm": 21.2,
@@ -151,7 +149,7 @@ def solved(
 
 @pytest.mark.parametrize("band", ["white", "nir"])
 @pytest.mark.parametrize("topology", ["sink", "switch"])
-def test_currents_are_those_of_the_solved_circuit(band: str, topology: str) -> None:
+def test_currents_are_those_of_the_solved_circuit(band, topology):
     s = circuit(topology=topology)
     stage = design_stage(band, s)
     rng = np.random.default_rng(0)
@@ -171,7 +169,7 @@ def test_currents_are_those_of_the_solved_circuit(band: str, topology: str) -> N
     assert all(r.heat_w <= 0.6 * r.rating_w for r in stage.resistors)
 
 
-def test_missed_margins_are_named() -> None:
+def test_missed_margins_are_named():
     for changes, words in (
         ({"supply_v": 6.0}, "too little"),
         ({"white": {"current_a": 0.3}}, "an LED of 120 mA"),
@@ -180,7 +178,7 @@ def test_missed_margins_are_named() -> None:
             design_stage("white", circuit(**changes))
 
 
-def test_the_reference_board_is_what_lies_there(tmp_path: Path) -> None:
+def test_the_reference_board_is_what_lies_there(tmp_path):
     write_circuit(tmp_path, read_dimensions())
     for file in tmp_path.iterdir():
         if file.name != "rig.json":  # it names the release
@@ -188,7 +186,7 @@ def test_the_reference_board_is_what_lies_there(tmp_path: Path) -> None:
     assert read_rig(tmp_path / "rig.json").leds == read_rig(BOARD / "rig.json").leds
 
 
-def test_the_page_shows_the_lens_as_its_script_draws_it() -> None:
+def test_the_page_shows_the_lens_as_its_script_draws_it():
     s = read_dimensions()
     d = dimensions_of(films.rig_of(s), s)
     assert lens.depth_mm(d, 2.0) == pytest.approx(1.35, abs=0.01)
@@ -197,7 +195,7 @@ def test_the_page_shows_the_lens_as_its_script_draws_it() -> None:
 
 
 @pytest.mark.parametrize("kind", ["servo", "hand", "neighbours"])
-def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind: str, tmp_path: Path) -> None:
+def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind, tmp_path):
     facts = write_circuit(
         tmp_path, read_dimensions(changes={"rig": {"films": kind}, "circuit": {"supply_v": 8.5}})
     )
@@ -226,7 +224,7 @@ def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind: str, tmp_path
     assert blue["margin"] == pytest.approx(blue["margin_without_films"] / 0.45, rel=0.01)
 
 
-def test_the_second_board_drives_side_lights_as_bright_as_the_ring(tmp_path: Path) -> None:
+def test_the_second_board_drives_side_lights_as_bright_as_the_ring(tmp_path):
     facts = write_circuit(tmp_path, read_dimensions(changes={"rig": {"films": "servo", "side": 7}}))
     assert facts["stages"]["side"]["current_ma"][1] == pytest.approx(100 * 0.4026, rel=0.01)
     blue = {
@@ -269,7 +267,7 @@ POINT = {"intensity_w_sr": 1.0, "half_angle_deg": 5.0, "source_mm": 0.1, "forwar
         (1450, 0.0, 0.0),
     ],
 )
-def test_the_weighting_functions_are_the_tables(nm: float, blue: float, burn: float) -> None:
+def test_the_weighting_functions_are_the_tables(nm, blue, burn):
     assert safety.blue_weight(np.array([float(nm)]))[0] == pytest.approx(blue, rel=0.01)
     assert safety.burn_weight(np.array([float(nm)]))[0] == pytest.approx(burn, rel=0.005)
 
@@ -278,7 +276,7 @@ def named(hazards: tuple[safety.Hazard, ...], clause: str) -> safety.Hazard:
     return next(hazard for hazard in hazards if hazard.clause == clause)
 
 
-def test_hazards_by_hand() -> None:
+def test_hazards_by_hand():
     """A point of 1 W/sr at 20 cm: 25 W/m2; over 11 mrad (9.503e-5 sr) 263 kW/m2/sr, weighted by
     half at 850 nm."""
     burn = named(safety.band_hazards("nir", led("nir", **POINT), 0.1, 200.0), "4.3.6")
@@ -300,7 +298,7 @@ def test_hazards_by_hand() -> None:
     assert stages["nir"].shorted_a == pytest.approx(8.05 / 59.4)
 
 
-def test_light_above_a_limit_is_refused(tmp_path: Path) -> None:
+def test_light_above_a_limit_is_refused(tmp_path):
     narrow = {"intensity_w_sr": 2.0, "half_angle_deg": 3.0}
     for changes, words in (
         ({"nir": narrow}, r"the LEDs together would give 627 W/m2 .*above the 100 .*4\.3\.7"),
@@ -316,7 +314,7 @@ def test_light_above_a_limit_is_refused(tmp_path: Path) -> None:
 # What is printed.
 
 
-def test_the_phantom_is_closed_and_as_high_as_stated() -> None:
+def test_the_phantom_is_closed_and_as_high_as_stated():
     result, fields = phantom.phantom()
     vertices, faces = phantom.phantom_mesh(result)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
@@ -342,7 +340,7 @@ def shared_volume(first, second) -> float:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default::DeprecationWarning")  # of build123d and what it imports
-def test_parts_are_whole_and_do_not_cut_each_other(parts) -> None:
+def test_parts_are_whole_and_do_not_cut_each_other(parts):
     d, solids = parts
     assert all(solid.is_valid for solid in solids.values())
     names = ("lid", "nail", "calibration_disc", "mirror_holder")  # as in the reference rig

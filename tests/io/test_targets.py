@@ -25,7 +25,7 @@ WRITERS = (
 
 
 @pytest.fixture
-def taken(tmp_path: Path) -> Path:
+def taken(tmp_path) -> Path:
     """A folder that splitknit wrote: photographs of a finger, as ``splitknit capture`` leaves
     them."""
     with atomic_folder(tmp_path / "finger") as folder:
@@ -35,16 +35,14 @@ def taken(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("words", WRITERS, ids=lambda words: " ".join(words[:2]))
-def test_no_verb_replaces_photographs(
-    words: list[str], taken: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_verb_replaces_photographs(words, taken, capsys):
     assert main([*words, "--out", str(taken)]) == 2
     error = capsys.readouterr().err
     assert "is not empty and is not an earlier" in error and error.count("\n") == 1
     assert (taken / "white_0.png").is_file()
 
 
-def test_the_same_kind_may_be_replaced(tmp_path: Path) -> None:
+def test_the_same_kind_may_be_replaced(tmp_path):
     check_target(tmp_path / "new", "map.npz", "an earlier print")
     check_target(tmp_path, "map.npz", "an earlier print")
     (tmp_path / "map.npz").touch()
@@ -56,7 +54,7 @@ def test_the_same_kind_may_be_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", json.dumps({"format": "another"})])
-def test_a_report_of_another_kind_is_distinguished(text: str, tmp_path: Path) -> None:
+def test_a_report_of_another_kind_is_distinguished(text, tmp_path):
     report = tmp_path / "report.json"
     report.write_text(json.dumps({"format": "ours"}))
     check_target(tmp_path, "report.json", "an earlier one", form="ours")
@@ -65,7 +63,7 @@ def test_a_report_of_another_kind_is_distinguished(text: str, tmp_path: Path) ->
         check_target(tmp_path, "report.json", "an earlier one", form="ours")
 
 
-def test_what_is_read_is_kept(tmp_path: Path) -> None:
+def test_what_is_read_is_kept(tmp_path):
     source = tmp_path / "a" / "b"
     source.mkdir(parents=True)
     for out in (source, source.parent, source / ".." / "b"):
@@ -101,12 +99,12 @@ FILE_WRITERS = (
 @pytest.mark.parametrize("words", FILE_WRITERS, ids=lambda words: " ".join((*words[:2], words[-1])))
 @pytest.mark.parametrize("content", [b"%PDF-1.7 a letter", b"{}", b"\xff\xd8\xff a photograph"])
 def test_no_option_replaces_a_file_of_another_kind(
-    words: list[str],
-    content: bytes,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    words,
+    content,
+    tmp_path,
+    capsys,
+    monkeypatch,
+):
     monkeypatch.chdir(tmp_path)
     suffix = (
         ".png" if words[-1] in ("--show", "--residuals") else ".pdf" if "target" in words else ""
@@ -119,9 +117,7 @@ def test_no_option_replaces_a_file_of_another_kind(
     assert out.read_bytes() == content and list(tmp_path.iterdir()) == [out]
 
 
-def test_an_earlier_file_of_the_same_kind_is_replaced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_earlier_file_of_the_same_kind_is_replaced(tmp_path, capsys):
     sheet, rig = tmp_path / "sheet.pdf", tmp_path / "rig.json"
     for _ in range(2):
         assert main(f"rig target --out {sheet}".split()) == 0
@@ -136,7 +132,7 @@ def test_an_earlier_file_of_the_same_kind_is_replaced(
             check_file(path, "a template", lambda data: True)
 
 
-def test_a_picture_is_not_written_over_a_photograph(tmp_path: Path) -> None:
+def test_a_picture_is_not_written_over_a_photograph(tmp_path):
     write_image(tmp_path / "white_0.png", np.ones((4, 4), np.uint8))
     check_picture(tmp_path / "white_0.png")
     check_picture(tmp_path / "new.png", tmp_path)

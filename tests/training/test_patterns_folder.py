@@ -38,7 +38,7 @@ def write(folder: Path, images: dict[str, Any]) -> Path:
 
 
 @pytest.fixture
-def boards(tmp_path: Path) -> Path:
+def boards(tmp_path) -> Path:
     """25 shifted checkerboards over a black level, with a white image, named by their shifts."""
     patterns = checkerboard_patterns(SIZE, 5, SHIFTS)
     images = {
@@ -54,7 +54,7 @@ def run(*words: Any) -> int:
     return main(list(map(str, words)))
 
 
-def refusal(capsys: pytest.CaptureFixture[str], out: Path, *words: Any) -> str:
+def refusal(capsys, out: Path, *words: Any) -> str:
     """Return the one sentence with which a run is refused; nothing is left behind."""
     before = sorted(out.parent.iterdir())
     assert run(*words, "--out", out) == 2

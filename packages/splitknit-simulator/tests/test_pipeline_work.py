@@ -28,7 +28,7 @@ def capture() -> Capture:
 
 
 @pytest.fixture
-def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+def counts(monkeypatch) -> Counter[str]:
     """Calls, pixels and transforms of what is run while the test lasts."""
     counter: Counter[str] = Counter()
     infer, compare, features = unet._infer, shape.residual_of, learned.features

@@ -71,7 +71,7 @@ def test_specks_and_stuck_pixels_are_counted():
     rng = np.random.default_rng(0)
     even = 150.0 * (1.0 - 0.1 * np.linspace(0, 1, columns)) + np.zeros((3, rows, columns))
 
-    def counted(factor: np.ndarray | float) -> tuple[float, str]:
+    def counted(factor):
         noisy = factor * even * (1.0 + 0.01 * rng.standard_normal(even.shape))
         pixels = np.repeat(np.rint(noisy).astype(np.uint8)[..., None], 3, axis=3)
         band = Band("white", pixels, ((0,), (1,), (2,)), np.ones(3), np.zeros(3))

@@ -23,7 +23,7 @@ from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
 from splitknit.model import Camera, Films
 from splitknit.observation.films import contrast
 from splitknit.observation.light import Light
-from splitknit.observation.observe import Observation, observe
+from splitknit.observation.observe import observe
 from splitknit_rig.calibration.polarisers import measure_ball
 from splitknit_simulator.bench_photos import behind_films, drawn_films
 from splitknit_simulator.calibration_set import solids
@@ -48,12 +48,12 @@ def photographed(folder: Path, seed: int, extinction: float) -> Films:
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Films]]:
+def bench(tmp_path_factory) -> Iterator[tuple[Path, Films]]:
     folder = tmp_path_factory.mktemp("films")
     yield folder / "polarisers", photographed(folder, 5, 5000.0)
 
 
-def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Films:
+def check(folder: Path, films: Films, tmp_path, capsys) -> Films:
     """Films that the photographs give, compared with the true ones."""
     out = tmp_path / "rig.json"
     words = "--out", out, "--residuals", tmp_path / "left.png"
@@ -191,7 +191,7 @@ def test_measured_films_align_the_crossed_series(bench, tmp_path):
     measured = observe(replace(capture, rig=replace(capture.rig, films=films)))
     assert measured.facts == {"films": "measured"}
 
-    def apart(of: Observation) -> float:
+    def apart(of):
         p, c = (of.bands[name].stack for name in ("white", "white_crossed"))
         inner = np.s_[..., 20:-20, 20:-20]
         return float(np.abs(c - p)[inner].mean() / p[inner].mean())

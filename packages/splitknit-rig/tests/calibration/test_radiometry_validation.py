@@ -16,7 +16,7 @@ SCRIPTS = Path(__file__).resolve().parents[4] / "validation" / "calibration"
 
 
 @pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+def script(monkeypatch) -> Iterator[ModuleType]:
     names = {file.stem for file in SCRIPTS.glob("*.py")}
     for name in names & set(sys.modules):
         monkeypatch.delitem(sys.modules, name)

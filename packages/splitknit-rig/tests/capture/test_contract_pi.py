@@ -97,7 +97,7 @@ class TestPiCamera(CameraContract):
     raw = False
 
     @pytest.fixture(autouse=True)
-    def hardware(self, pins: MockFactory, monkeypatch: pytest.MonkeyPatch):
+    def hardware(self, pins: MockFactory, monkeypatch):
         self.world = World()
         monkeypatch.setattr(FakePicamera2, "world", self.world)
 

@@ -82,7 +82,7 @@ def test_who_does_not_know_the_address_gets_no_picture(served):
 
 
 def test_it_is_sharpest_in_focus():
-    def sharpness(aperture_mm: float) -> float:
+    def sharpness(aperture_mm):
         changes = {"render.aperture_mm": aperture_mm}
         with opener_of("twin", changes, None, 0.2, target="phantom")(0, 0) as devices:
             preview = Preview(devices, 0)

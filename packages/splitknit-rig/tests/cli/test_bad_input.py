@@ -14,7 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from enrolled import facts_of, words_of
 from small_capture import copy_of, edit, repaint
@@ -286,7 +285,7 @@ def test_jpeg_is_detected_in_the_pixels(twin_folder, tmp_path, capsys):
     for quality in (0, 75, 95):
         folder = copy_of(twin_folder, tmp_path / f"capture_{quality}")
 
-        def through_jpeg(image: NDArray[Any], quality: int = quality) -> NDArray[Any]:
+        def through_jpeg(image, quality=quality):
             data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
             return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED)).reshape(image.shape)
 
@@ -351,7 +350,7 @@ def test_a_path_that_is_no_capture_is_refused(name, tmp_path, capsys):
 
 
 @pytest.fixture
-def nobody(tmp_path: Path) -> Iterator[None]:
+def nobody(tmp_path) -> Iterator[None]:
     """Root gives up its rights for a while; others have none to give up."""
     own = [tmp_path, *tmp_path.parents]
     for parent in own[: own.index(Path(tempfile.gettempdir()))]:
@@ -371,7 +370,7 @@ def nobody(tmp_path: Path) -> Iterator[None]:
 
 
 @pytest.fixture
-def closed(request: pytest.FixtureRequest, twin_folder: Path, tmp_path: Path) -> Iterator[Path]:
+def closed(request, twin_folder: Path, tmp_path) -> Iterator[Path]:
     """A capture of which one file, or the folder itself, may not be read."""
     folder = copy_of(twin_folder, tmp_path / "capture")
     mode = (folder / request.param).stat().st_mode

@@ -36,24 +36,24 @@ def run(*words: object) -> int:
     return main(["capture", "--device", "twin", *map(str, words)])
 
 
-def refused(capsys: Captured, *words: object, device: str = "twin") -> str:
+def refused(capsys, *words: object, device: str = "twin") -> str:
     """Sentence with which a command is refused."""
     return refusal_of(capsys, f"capture --device {device}", *words)
 
 
-def facts_with(capsys: Captured, *words: object) -> dict[str, Any]:
+def facts_with(capsys, *words: object) -> dict[str, Any]:
     return facts_of(capsys, "capture --device twin", *words)
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def done(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("capture") / "one"
     assert run("--out", folder, *SMALL, *PERSON) == 0
     return folder
 
 
 @pytest.fixture
-def faults(monkeypatch: pytest.MonkeyPatch):
+def faults(monkeypatch):
     """Let the twin's scenes have faults."""
 
     def spoil(**faults: object) -> None:

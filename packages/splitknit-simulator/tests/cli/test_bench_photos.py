@@ -20,7 +20,7 @@ SCALE = 0.06
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bench(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("bench") / "bench"
     call = f"simulate --bench --seed 3 --scale {SCALE} --out {out}".split()
     assert main([*call, "--set", "boards=3", "--set", "nails=2"]) == 0

@@ -14,7 +14,7 @@ from splitknit.report.result import FILES
 
 
 @pytest.fixture
-def short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_cut(monkeypatch) -> None:
     """Put a hand-made finger in the place of the twin and the pipeline."""
     result, truth = finger()
 

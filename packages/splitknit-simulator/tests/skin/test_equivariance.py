@@ -130,7 +130,7 @@ def test_a_turned_finger_has_a_turned_surface(piece, straight, turn_deg):
     back = cv2.invertAffineTransform(matrix)
     c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
 
-    def turned(image: np.ndarray, by: np.ndarray = matrix) -> np.ndarray:
+    def turned(image, by=matrix):
         return cv2.warpAffine(
             np.ascontiguousarray(image, np.float32), by, (side, side), flags=cv2.INTER_CUBIC
         )

@@ -35,7 +35,7 @@ def run(*words: Any) -> int:
     return main(["separate", *map(str, words)])
 
 
-def refusal(capsys: pytest.CaptureFixture[str], out: Path, *words: Any) -> str:
+def refusal(capsys, out: Path, *words: Any) -> str:
     """Return the one sentence with which a run is refused; nothing is left behind."""
     before = sorted(out.parent.iterdir())
     assert run(*words, "--out", out) == 2

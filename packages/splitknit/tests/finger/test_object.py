@@ -71,9 +71,7 @@ def codes_and_overlap(
 @pytest.mark.parametrize(
     ("height", "albedo"), [(BALL, 0.8), (BALL, HALF_WHITE)], ids=["plain", "two-tone"]
 )
-def test_a_wall_that_reaches_the_border_is_left_out_with_a_finding(
-    height: np.ndarray, albedo: float | np.ndarray
-) -> None:
+def test_a_wall_that_reaches_the_border_is_left_out_with_a_finding(height, albedo):
     codes, overlap = codes_and_overlap(height, height > 0, albedo, WALL_ABOVE)
     assert overlap > 0.95
     assert "background-left-out" in codes
@@ -85,15 +83,13 @@ def test_a_wall_that_reaches_the_border_is_left_out_with_a_finding(
     [(BALL, 0.8, 0.12), (BALL, 0.8, 0.0), (COIN, 0.7, 0.1), (BALL, HALF_WHITE, 0.06)],
     ids=["dim wall", "black", "coin on a dim table", "two-tone"],
 )
-def test_an_object_whose_outline_is_clear_needs_no_finding(
-    height: np.ndarray, albedo: float | np.ndarray, behind: float
-) -> None:
+def test_an_object_whose_outline_is_clear_needs_no_finding(height, albedo, behind):
     codes, overlap = codes_and_overlap(height, height > 0, albedo, behind)
     assert overlap > 0.95
     assert not codes & {"background-left-out", "outline-at-border"}
 
 
-def test_an_object_at_the_border_is_kept_whole_with_a_finding() -> None:
+def test_an_object_at_the_border_is_kept_whole_with_a_finding():
     codes, overlap = codes_and_overlap(AT_BORDER, AT_BORDER > 0, 0.8, 0.12)
     assert overlap > 0.95
     assert "outline-at-border" in codes
@@ -111,14 +107,12 @@ def test_an_object_at_the_border_is_kept_whole_with_a_finding() -> None:
     ],
     ids=["bright wall", "same albedo", "coin", "dark ball", "relief", "lump in a flat"],
 )
-def test_what_brightness_cannot_part_is_refused_rather_than_cut(
-    height: np.ndarray, inside: np.ndarray, albedo: float, behind: float
-) -> None:
+def test_what_brightness_cannot_part_is_refused_rather_than_cut(height, inside, albedo, behind):
     with pytest.raises(BadInput, match=r"no object was found|the object touches"):
         codes_and_overlap(height, inside, albedo, behind)
 
 
-def test_a_whole_object_is_meant_beside_a_larger_one_that_reaches_the_border() -> None:
+def test_a_whole_object_is_meant_beside_a_larger_one_that_reaches_the_border():
     """The white case in a corner of a stranger's photographs was measured, not the fossil."""
     small = ball(150, 70, 40)
     card = (COLUMN < 110) & (ROW > 110) & (COLUMN - 110 < ROW - 150)

@@ -45,7 +45,7 @@ def test_a_folder_appears_whole_and_parents_are_made(tmp_path):
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_after_a_failure_everything_is_as_before(tmp_path, error):
-    def fail(out: Path) -> None:
+    def fail(out):
         with pytest.raises(error), atomic_folder(out) as folder:
             (folder / "half").write_text("x")
             raise error
@@ -62,7 +62,7 @@ def test_a_failed_rename_restores_the_earlier_result(tmp_path, monkeypatch):
     fill(tmp_path / "result", first="1")
     rename = Path.rename
 
-    def broken(self: Path, target: Path) -> Path:
+    def broken(self, target):
         if self.name == "new" and target.name == "result":
             raise OSError(28, "No space left on device")
         return rename(self, target)
@@ -251,7 +251,7 @@ def test_an_interrupt_while_tidying_waits_until_that_is_done(tmp_path, monkeypat
     where: Any = Path if place in ("mkdir", "rename") else atomic
     work, come = getattr(where, place), []
 
-    def interrupted(*arguments: Any, **named: Any) -> Any:
+    def interrupted(*arguments, **named):
         done = work(*arguments, **named) if place in ("mkdir", "_lock", "rename") else None
         if not come:
             come.append(number)
@@ -419,7 +419,7 @@ def test_a_temporary_folder_that_another_program_removes_is_made_again(tmp_path,
     """Between its making and its locking it looks as if its program had been killed."""
     hold, opened = atomic._open_folder, []
 
-    def swept(folder: Path) -> int | None:
+    def swept(folder):
         opened.append(folder)
         if len(opened) == 1:
             folder.rmdir()

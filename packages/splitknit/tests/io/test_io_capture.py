@@ -91,7 +91,7 @@ def test_a_written_capture_is_read_back(dtype, channels, images, tmp_path, build
 
 
 def test_a_minimal_document_is_read_and_unknown_fields_are_ignored(folder):
-    def least(document: Any) -> None:
+    def least(document):
         white = document["bands"]["white"]
         white["comment"] = ["not", {"known": None}]
         document.clear()
@@ -115,7 +115,7 @@ def test_a_minimal_document_is_read_and_unknown_fields_are_ignored(folder):
 
 
 def test_exposure_gain_and_black_level_bring_images_to_one_scale(folder):
-    def expose(document: Any) -> None:
+    def expose(document):
         images = document["bands"]["white"]["images"]
         images[0] = {"file": images[0], "exposure_s": 0.5, "gain": 4.0, "black_level": 3}
         images[1] = {"file": images[1], "gain": 2}
@@ -146,7 +146,7 @@ def test_exposure_gain_and_black_level_bring_images_to_one_scale(folder):
 def test_the_ambient_image_has_its_own_or_the_common_exposure(exposures, ambient, expected, folder):
     write_image(folder / "dark.png", np.ones((40, 30, 3), np.uint8))
 
-    def expose(document: Any) -> None:
+    def expose(document):
         white = document["bands"]["white"]
         white["images"] = [
             name if s is None else {"file": name, "exposure_s": s}
@@ -297,7 +297,7 @@ def test_paths_stay_inside_the_folder(name, field, folder):
     (folder / "link.png").symlink_to(folder.parent / "secret.png")
     (folder / "linked").symlink_to(folder.parent)
 
-    def change(document: Any) -> None:
+    def change(document):
         if field == "image":
             document["bands"]["white"]["images"][0] = {"file": name}
         elif field == "ambient":
@@ -358,7 +358,7 @@ def test_a_capture_that_could_not_be_read_back_is_not_written(tmp_path, build_ca
     capture = build_capture()
     white = capture.bands["white"]
 
-    def refused(words: str, **changes: Any) -> None:
+    def refused(words, **changes):
         with pytest.raises(BadInput, match=words):
             write_capture(replace(capture, **changes), tmp_path / "out")
         assert list(tmp_path.iterdir()) == []
@@ -503,7 +503,7 @@ def test_wrong_rigs_are_refused(change, words, tmp_path):
 
 
 def test_coplanar_lights_are_refused(folder):
-    def flatten(document: Any) -> None:
+    def flatten(document):
         for k, led in enumerate(document["leds"]):
             led["position_mm"] = [10.0 * (k % 4), 0.0, 140.0]
 

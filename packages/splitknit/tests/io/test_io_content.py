@@ -20,7 +20,7 @@ def changed(band: Band, k: int, pixels: Any, **changes: Any) -> Band:
 
 
 @pytest.fixture(params=[(np.uint8, 3), (np.uint8, 1), (np.uint16, 3)])
-def band(request: pytest.FixtureRequest, build_capture: Build) -> Band:
+def band(request, build_capture: Build) -> Band:
     band: Band = build_capture(*request.param, shape=(200, 150)).bands["white"]
     check_content(band)
     return band

@@ -147,7 +147,7 @@ def ball(light: Any, size: int = 60) -> Any:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path) -> Path:
     """Five photographs of a ball, their lights and a mask."""
     root = tmp_path / "photos"
     root.mkdir()
@@ -196,7 +196,7 @@ def test_a_size_is_refused_before_memory_is_taken(suffix, tmp_path, monkeypatch)
         image.save(file, exif=exif)
         monkeypatch.setattr("splitknit.io.photos.decode_pixels", never)
 
-    def check(rows: int, columns: int) -> None:
+    def check(rows, columns):
         raise BadInput(f"{rows} x {columns}")
 
     turned = suffix not in ("heic", "bmp")  # BMP has no EXIF

@@ -119,7 +119,7 @@ def test_series_that_do_not_match_are_refused(polarised, tmp_path, change, words
 def test_polarised_series_with_coloured_leds_are_refused(polarised, tmp_path):
     write_capture(polarised, tmp_path / "c")
 
-    def paint(rig: Any) -> None:
+    def paint(rig):
         for led, colour in zip(rig["leds"][:4], ("red", "green", "blue", "red"), strict=True):
             led["colour"] = colour
 

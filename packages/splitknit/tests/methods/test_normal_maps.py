@@ -54,7 +54,7 @@ def written(kind: str, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["png", "tif", "npy", "npz", "exr"])
-def test_every_format_gives_the_surface_in_mm(kind: str, tmp_path: Path) -> None:
+def test_every_format_gives_the_surface_in_mm(kind, tmp_path):
     normals, hashes = read_normal_map(written(kind, tmp_path))
     result = splitknit.surface_of_normals(normals, px_per_mm=PX_PER_MM)
     assert off_um(result) < 0.5
@@ -62,7 +62,7 @@ def test_every_format_gives_the_surface_in_mm(kind: str, tmp_path: Path) -> None
     assert not result.findings
 
 
-def test_a_reversed_y_axis_shows_by_its_curl() -> None:
+def test_a_reversed_y_axis_shows_by_its_curl():
     reversed_y = NORMALS * [1, -1, 1]
     result = splitknit.surface_of_normals(reversed_y, px_per_mm=PX_PER_MM)
     assert off_um(result) < 0.5
@@ -73,12 +73,12 @@ def test_a_reversed_y_axis_shows_by_its_curl() -> None:
     assert not right.findings
 
 
-def test_colours_from_0_to_1_are_vectors_too() -> None:
+def test_colours_from_0_to_1_are_vectors_too():
     result = splitknit.surface_of_normals((NORMALS + 1) / 2, INSIDE, px_per_mm=PX_PER_MM)
     assert off_um(result) < 0.5
 
 
-def test_unknown_scale_is_a_note_and_the_files_are_those_of_a_result(tmp_path: Path) -> None:
+def test_unknown_scale_is_a_note_and_the_files_are_those_of_a_result(tmp_path):
     file = written("png", tmp_path)
     facts = reconstruct_to_folder(out=tmp_path / "out", normals=file).facts
     assert [each["code"] for each in facts["findings"]] == ["scale-unknown"]
@@ -101,7 +101,7 @@ def photographs(folder: Path) -> Path:
     return folder
 
 
-def test_photographs_name_the_region_that_contradicts_them(tmp_path: Path) -> None:
+def test_photographs_name_the_region_that_contradicts_them(tmp_path):
     images = tmp_path / "photos"
     images.mkdir()
     given = GivenPhotographs(photographs(images), px_per_mm=PX_PER_MM)
@@ -123,7 +123,7 @@ def test_photographs_name_the_region_that_contradicts_them(tmp_path: Path) -> No
     assert misfit[turned].min() > 0.05 > misfit[INSIDE & ~turned].max()
 
 
-def test_bad_maps_are_refused_in_one_sentence(tmp_path: Path) -> None:
+def test_bad_maps_are_refused_in_one_sentence(tmp_path):
     refused = {
         "grey.npy": (np.zeros((8, 8)), "one array (H, W, 3)"),
         "noise.npy": (np.full((8, 8, 3), 7.0), "no normal map"),
@@ -149,7 +149,7 @@ def test_bad_maps_are_refused_in_one_sentence(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_rig_gives_the_rays_and_the_scale(tmp_path: Path) -> None:
+def test_a_rig_gives_the_rays_and_the_scale(tmp_path):
     matrix = np.array([[800.0, 0.0, 39.5], [0.0, 800.0, 39.5], [0.0, 0.0, 1.0]])
     camera = splitknit.Camera(
         PX_PER_MM, (80, 80), 800 / PX_PER_MM, "perspective", matrix, (0.0,) * 5

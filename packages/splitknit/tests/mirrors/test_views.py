@@ -26,7 +26,7 @@ RIG = Rig(CAMERA, (), mirrors=(LEFT, RIGHT))
 
 
 @pytest.fixture(autouse=True)
-def bright_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+def bright_pieces(monkeypatch) -> None:
     """The largest bright piece stands for the finger; its outline is looked for in a piece of the
     image."""
 

@@ -40,7 +40,7 @@ def images() -> np.ndarray:
 
 
 @pytest.fixture(params=["0", "", None])
-def telemetry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def telemetry(request, monkeypatch) -> None:
     """The environment variable does not turn telemetry off."""
     monkeypatch.delenv(NO_TELEMETRY, raising=False)
     if request.param is not None:
@@ -63,9 +63,7 @@ def test_onnxruntime_imported_with_telemetry_is_refused():
 
 
 @pytest.fixture
-def offered(
-    network: Network, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[tuple[list[str], list[Any]]]:
+def offered(network: Network, monkeypatch) -> Iterator[tuple[list[str], list[Any]]]:
     """Providers that onnxruntime, which `network` has imported, is made to offer, and those that
     were asked for; everything runs on the CPU."""
     import onnxruntime

@@ -16,7 +16,7 @@ TINY = Path(__file__).parent / "tiny.onnx"
 
 
 @pytest.fixture
-def copy(tmp_path: Path) -> Path:
+def copy(tmp_path) -> Path:
     for suffix in (".onnx", ".json"):
         shutil.copy(TINY.with_suffix(suffix), tmp_path / f"net{suffix}")
     return tmp_path / "net.onnx"

@@ -120,7 +120,7 @@ def test_the_specular_picture_is_even_where_the_light_is_not():
 def test_series_that_do_not_belong_together_are_doubted():
     rows, columns = np.mgrid[-1:1:30j, -1:1:30j]
 
-    def lit_from(angles: np.ndarray) -> np.ndarray:
+    def lit_from(angles):
         angles = angles[:, None, None]
         light = 1 + 0.4 * (columns * np.cos(angles) + rows * np.sin(angles))
         return light.astype(np.float32)

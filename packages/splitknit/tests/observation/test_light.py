@@ -189,7 +189,7 @@ def test_moves_are_undone_where_light_is_asked_for():
     rows, columns = np.mgrid[:40, :50]
     scene = 100 + 80 * np.sin(columns / 5) * np.cos(rows / 7)
 
-    def seen(right: float, down: float) -> np.ndarray:
+    def seen(right, down):
         moved = 100 + 80 * np.sin((columns - right) / 5) * np.cos((rows - down) / 7)
         return np.rint(300 * moved)
 
@@ -221,7 +221,7 @@ def test_a_paged_stack_gives_the_same_light(monkeypatch):
 
 
 def test_a_full_disk_is_refused(monkeypatch):
-    def full(*_: object) -> None:
+    def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(paging, "IN_MEMORY", 100)

@@ -26,7 +26,7 @@ from splitknit.observation.observe import observe
 
 
 @pytest.fixture
-def plain(tmp_path: Path) -> Path:
+def plain(tmp_path) -> Path:
     rng = np.random.default_rng(2)
     for k in range(4):
         write_image(tmp_path / f"{k}.png", rng.integers(80, 200, (25, 35)).astype(np.uint8))

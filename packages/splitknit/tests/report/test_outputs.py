@@ -124,7 +124,7 @@ def test_the_same_result_gives_the_same_bytes(written, tmp_path):
 def test_a_failed_run_leaves_no_files(tmp_path, monkeypatch):
     result, _ = finger()
 
-    def fail(*_: object, **__: object) -> None:
+    def fail(*_, **__):
         raise RuntimeError("disk on fire")
 
     monkeypatch.setattr(result_files, "write_mesh", fail)

@@ -69,7 +69,7 @@ def test_the_chart_keeps_lengths_to_sixty_degrees():
     body = FingerBody(FingerShape())
     x, y = np.meshgrid(np.linspace(-8, 8, 81), np.linspace(-12, 24.5, 180))
 
-    def at(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at(x, y):
         points = np.stack([x, y, body.top(x, y)], -1)
         return points, np.stack(
             body.distance_and_chart(*(points[..., k] for k in range(3)))[1:], -1
@@ -164,7 +164,7 @@ def test_a_finger_lies_at_its_pose(finger):
         assert not surface.mask[0].any()
     rows = np.arange(225, 300)
 
-    def lean(surface: SimulatedSurface) -> float:
+    def lean(surface):
         columns = np.arange(SMALL.image_size[1])
         middles = [columns[surface.mask[row]].mean() for row in rows]
         return float(np.arctan(np.polyfit(rows, middles, 1)[0]))

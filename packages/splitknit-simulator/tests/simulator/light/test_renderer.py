@@ -173,7 +173,7 @@ def test_ridges_lower_the_contrast_of_a_slope_only_if_blurred(slope):
     ridged = _wave(slope)
     smooth = replace(ridged, normals=ridged.shape_normals, height_mm=ridged.shape_mm)
 
-    def contrast(surface: SimulatedSurface, blurred: bool) -> float:
+    def contrast(surface, blurred):
         boundary = Boundary(blurred=blurred, entry_power=0.0)
         near, far = (float(_diffuse(surface, led, boundary).mean()) for led in leds)
         return (near - far) / (near + far)
@@ -188,7 +188,7 @@ def test_refracted_light_reverses_the_shading_of_slopes():
     wave, flat = _wave(0.0), _wave(0.0, height=1e-6)
     shading = wave.normals[0, 60:-60, 0]
 
-    def signal(boundary: Boundary) -> np.ndarray:
+    def signal(boundary):
         rows = (_diffuse(wave, led, boundary) / _diffuse(flat, led, boundary))[:, 60]
         return np.array([np.polyfit(shading, row / row.mean(), 1)[0] for row in rows])
 
@@ -226,7 +226,7 @@ def test_light_on_the_far_side_of_a_cylinder_agrees_with_random_walks():
         led = Led("white", position_mm=volume.LIGHTS[0])
         settings = RenderSettings(reach_mm=20.0)
 
-        def at(boundary: Boundary) -> np.ndarray:
+        def at(boundary):
             image = render_band(
                 volume.cylinder(), [led], Medium([optics], 0.25, 0.0, boundary), settings
             )
