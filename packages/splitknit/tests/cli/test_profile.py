@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from handmade import finger
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.imaging.roughness import profile_roughness
 
 
@@ -78,5 +78,5 @@ def test_the_cut_off_passes_half_a_wave_of_its_length_and_removes_form():
     for length, part in ((0.8, 0.5), (8.0, 0.007)):
         _, figures = profile_roughness(0.01 * np.sin(2 * np.pi * along / length), 0.005, 0.8)
         assert figures["Rq_um"] == pytest.approx(part * 10 / np.sqrt(2), rel=0.1)
-    with pytest.raises(BadInput, match="gap"):
+    with bad_input("gap"):
         profile_roughness(np.full(4000, np.nan), 0.005, 0.8)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.finger.mask import (
     check_borders,
     finger_mask,
@@ -73,9 +73,9 @@ def test_region_and_outline_give_the_mask_of_one_step(draw_finger, disturbance):
 
 def test_region_and_outline_refuse_what_one_step_refuses(draw_finger):
     scene = draw_finger("medium", px_per_mm=20.0)
-    with pytest.raises(BadInput, match="no finger was found"):
+    with bad_input("no finger was found"):
         finger_region(np.full_like(scene.rgb, 0.03), scene.px_per_mm)
-    with pytest.raises(BadInput, match="no finger was found"):
+    with bad_input("no finger was found"):
         finger_outline(scene.rgb, np.zeros((40, 30), bool), scene.px_per_mm)
 
 
@@ -149,14 +149,14 @@ def _empty(kind: str, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("grey", [False, True])
 def test_an_image_without_a_finger_is_refused(kind, grey):
     image = _empty(kind, np.random.default_rng(3))
-    with pytest.raises(BadInput, match=r"no finger was found|borders"):
+    with bad_input(r"no finger was found|borders"):
         finger_mask(image.mean(axis=2) if grey else image, 12.0)
 
 
 @pytest.mark.parametrize("segment", [finger_mask, finger_region])
 def test_a_finger_across_three_borders_is_refused(draw_finger, segment):
     scene = draw_finger("medium", half_width=16.0, tip_at=(0.0, 12.0))
-    with pytest.raises(BadInput, match=r"touches 3 borders .*move it back"):
+    with bad_input(r"touches 3 borders .*move it back"):
         segment(scene.rgb, scene.px_per_mm)
 
 
@@ -168,7 +168,7 @@ def test_a_mask_may_touch_two_borders_at_most():
     assert touched_borders(mask) == ("bottom", "right")
     check_borders(mask)
     mask[:, 30:50] = True
-    with pytest.raises(BadInput, match="top, bottom, right"):
+    with bad_input("top, bottom, right"):
         check_borders(mask)
     corner = np.zeros((100, 80), dtype=bool)
     corner[-2:, 10] = True
@@ -176,7 +176,7 @@ def test_a_mask_may_touch_two_borders_at_most():
 
 
 def test_small_images_are_refused():
-    with pytest.raises(BadInput, match="too small"):
+    with bad_input("too small"):
         finger_mask(np.zeros((5, 5, 3), np.float32), 12.0)
 
 
@@ -238,5 +238,5 @@ def test_photometric_mask_drops_shadowed_and_saturated_pixels():
 
 def test_a_finger_that_is_saturated_everywhere_is_refused():
     finger = np.ones((20, 15), dtype=bool)
-    with pytest.raises(BadInput, match="reached by 3 lights"):
+    with bad_input("reached by 3 lights"):
         photometric_mask(np.ones((7, 20, 15), np.float32), finger, 10.0)

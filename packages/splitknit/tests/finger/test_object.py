@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.pipeline import reconstruct_images
 
 ROWS, COLUMNS = 200, 240
@@ -108,7 +108,7 @@ def test_an_object_at_the_border_is_kept_whole_with_a_finding():
     ids=["bright wall", "same albedo", "coin", "dark ball", "relief", "lump in a flat"],
 )
 def test_what_brightness_cannot_part_is_refused_rather_than_cut(height, inside, albedo, behind):
-    with pytest.raises(BadInput, match=r"no object was found|the object touches"):
+    with bad_input(r"no object was found|the object touches"):
         codes_and_overlap(height, inside, albedo, behind)
 
 

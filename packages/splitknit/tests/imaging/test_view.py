@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.imaging.geometry import height_gradients
 from splitknit.imaging.view import View, pixels_of, plane_points, view_of
 from splitknit.integration.knit import place
@@ -156,5 +156,5 @@ def test_a_surface_integrated_on_a_regular_grid_is_placed_on_its_rays():
 
 
 def test_points_not_below_the_camera_are_refused():
-    with pytest.raises(BadInput, match="below the camera"):
+    with bad_input("below the camera"):
         pixels_of(camera(), [[0.0, 0.0, 60.0]])

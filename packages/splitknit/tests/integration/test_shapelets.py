@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.integration.shapelets import ShapeletSettings, shapelet_response, shapelets
 
 
@@ -71,5 +71,5 @@ def test_response_of_the_thesis_at_the_ridges():
     [{"scales": 0}, {"sigma_px": 0}, {"factor": 1.0}, {"sigma_px": np.nan}],
 )
 def test_bad_settings_are_refused(field):
-    with pytest.raises(BadInput, match="shapelets"):
+    with bad_input("shapelets"):
         ShapeletSettings(**field)

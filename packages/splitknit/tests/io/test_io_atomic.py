@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
+from refusals import bad_input
 from splitknit.cli import main as cli
 from splitknit.cli.exits import INTERRUPTS
-from splitknit.errors import BadInput
 from splitknit.files import given_folders, read_bytes
 from splitknit.interrupts import UNFINISHED
 from splitknit.io import atomic
@@ -68,7 +68,7 @@ def test_a_failed_rename_restores_the_earlier_result(tmp_path, monkeypatch):
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", broken)
-    with pytest.raises(BadInput, match="No space left on device"):
+    with bad_input("No space left on device"):
         fill(tmp_path / "result", new="2")
     assert visible(tmp_path / "result") == {"first": "1"}
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
@@ -88,11 +88,11 @@ def test_files_of_others_are_never_deleted(tmp_path):
     mine = tmp_path / "photos"
     mine.mkdir()
     (mine / "holiday.png").write_text("dear")
-    with pytest.raises(BadInput, match=r"'holiday\.png', which splitknit did not write"):
+    with bad_input(r"'holiday\.png', which splitknit did not write"):
         fill(mine, first="1")
     fill(tmp_path / "result", first="1")
     (tmp_path / "result" / "link").symlink_to(mine)
-    with pytest.raises(BadInput, match="'link', which splitknit did not write"):
+    with bad_input("'link', which splitknit did not write"):
         fill(tmp_path / "result", first="2")
     for text in (
         "[]",
@@ -101,7 +101,7 @@ def test_files_of_others_are_never_deleted(tmp_path):
         '{"format": "splitknit-folder"}',
     ):
         (mine / ".splitknit").write_text(text)
-        with pytest.raises(BadInput, match="did not write"):
+        with bad_input("did not write"):
             fill(mine, first="1")
     assert (mine / "holiday.png").read_text() == "dear"
 
@@ -122,7 +122,7 @@ def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path, kind):
         (mark.parent / "first").write_text("theirs") if name else (mark.parent / "first").unlink()
         assert manifest_of(mark.parent) == frozenset()
         if name or kind != "too large":
-            with pytest.raises(BadInput, match="which splitknit did not write"):
+            with bad_input("which splitknit did not write"):
                 fill(mark.parent, first="2")
             assert os.path.lexists(mark)
 
@@ -130,7 +130,7 @@ def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path, kind):
 def test_a_file_added_by_others_meanwhile_is_kept(tmp_path):
     fill(tmp_path / "result", first="1")
     with (
-        pytest.raises(BadInput, match="did not write"),
+        bad_input("did not write"),
         atomic_folder(tmp_path / "result") as folder,
     ):
         (folder / "first").write_text("2")
@@ -140,20 +140,20 @@ def test_a_file_added_by_others_meanwhile_is_kept(tmp_path):
 
 def test_places_that_cannot_be_written_are_refused(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(BadInput, match="is a file"):
+    with bad_input("is a file"):
         fill(tmp_path / "file", first="1")
-    with pytest.raises(BadInput, match="cannot write"):
+    with bad_input("cannot write"):
         fill(tmp_path / "file" / "result", first="1")
-    with pytest.raises(BadInput, match="cannot write"):
+    with bad_input("cannot write"):
         fill(tmp_path / ("x" * 300), first="1")
-    with pytest.raises(BadInput, match="not a usable path"):
+    with bad_input("not a usable path"):
         fill(Path("a\0b"), first="1")
     with (
-        pytest.raises(BadInput, match="exists and is not empty"),
+        bad_input("exists and is not empty"),
         atomic_folder(tmp_path, overwrite=False),
     ):
         pass
-    with pytest.raises(BadInput, match="mounted disk"), atomic_folder("/"):
+    with bad_input("mounted disk"), atomic_folder("/"):
         pass
     assert visible(tmp_path) == {"file": "x"}
 
@@ -185,7 +185,7 @@ def test_a_nested_atomic_folder_appears_with_the_outer_one(tmp_path):
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_without_permission_is_refused(tmp_path):
     (tmp_path / "locked").mkdir(mode=0o500)
-    with pytest.raises(BadInput, match="Permission denied"):
+    with bad_input("Permission denied"):
         fill(tmp_path / "locked" / "result", first="1")
 
 
@@ -201,7 +201,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     with pytest.raises(KeyboardInterrupt), atomic_file(tmp_path / "b" / "file.bin") as stream:
         raise KeyboardInterrupt
     assert not (tmp_path / "b").exists()
-    with pytest.raises(BadInput, match="is a folder"), atomic_file(tmp_path):
+    with bad_input("is a folder"), atomic_file(tmp_path):
         pass
     assert [entry.name for entry in path.parent.iterdir()] == ["file.bin"]
 
@@ -212,7 +212,7 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
     (tmp_path / "link").symlink_to("pipe")
     for name in ("pipe", "link"):
         with (
-            pytest.raises(BadInput, match="is a device or a pipe"),
+            bad_input("is a device or a pipe"),
             atomic_file(tmp_path / name) as stream,
         ):
             stream.write(b"never")
@@ -368,11 +368,11 @@ def test_nothing_is_written_through_a_link_inside_a_given_folder(tmp_path):
             for name in ("file", "folder/file", "folder/new/file"):
                 for write in (atomic_file, atomic_folder):
                     with (
-                        pytest.raises(BadInput, match="is a link inside a folder"),
+                        bad_input("is a link inside a folder"),
                         write(named / name),
                     ):
                         pass
-                with pytest.raises(BadInput, match="is a link inside a folder"):
+                with bad_input("is a link inside a folder"):
                     read_bytes(named / name, 100)
             with atomic_file(named / "below" / "own") as stream:
                 stream.write(b"own")

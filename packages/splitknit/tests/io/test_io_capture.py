@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from small_capture import edit
 from splitknit.capture import Ambient, Capture
-from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.npz import read_npz
@@ -158,7 +158,7 @@ def test_the_ambient_image_has_its_own_or_the_common_exposure(exposures, ambient
 
     edit(folder / "capture.json", expose)
     if isinstance(expected, str):
-        with pytest.raises(BadInput, match=expected):
+        with bad_input(expected):
             read_capture(folder)
     else:
         assert read_capture(folder).bands["white"].ambient.exposure == expected
@@ -190,7 +190,7 @@ def test_a_mask_of_any_image_type_is_read(folder):
 def test_a_dark_mask_or_one_of_another_size_is_refused(mask, words, folder):
     edit(folder / "capture.json", document_with(mask="m.png"))
     write_image(folder / "m.png", mask)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         read_capture(folder)
 
 
@@ -251,9 +251,8 @@ def led_with(**values: Any) -> Change:
 )
 def test_wrong_capture_documents_are_refused(change, words, folder):
     edit(folder / "capture.json", change)
-    with pytest.raises(BadInput, match=words) as caught:
+    with bad_input(words):
         read_capture(folder)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -272,7 +271,7 @@ def test_wrong_capture_documents_are_refused(change, words, folder):
 @pytest.mark.parametrize("file", ["capture.json", "rig.json"])
 def test_broken_json_is_refused(text, words, file, folder):
     (folder / file).write_bytes(text)
-    with pytest.raises(BadInput, match=words) as caught:
+    with bad_input(words) as caught:
         read_capture(folder)
     assert str(folder / file) in str(caught.value)
 
@@ -306,28 +305,28 @@ def test_paths_stay_inside_the_folder(name, field, folder):
             document[field] = name
 
     edit(folder / "capture.json", change)
-    with pytest.raises(BadInput, match="leaves the capture folder"):
+    with bad_input("leaves the capture folder"):
         read_capture(folder)
 
 
 @pytest.mark.parametrize("name", ["a\0b.png", "\ud800.png", "x" * 5000, " ", ""])
 def test_unusable_file_names_are_refused(name, folder):
     edit(folder / "capture.json", document_with(mask=name))
-    with pytest.raises(BadInput):
+    with bad_input():
         read_capture(folder)
 
 
 def test_missing_folders_and_files_are_refused(tmp_path, folder):
-    with pytest.raises(BadInput, match="does not exist"):
+    with bad_input("does not exist"):
         read_capture(tmp_path / "nowhere")
-    with pytest.raises(BadInput, match=r"holds no capture\.json"):
+    with bad_input(r"holds no capture\.json"):
         read_capture(tmp_path)
-    with pytest.raises(BadInput, match="is not a capture"):
+    with bad_input("is not a capture"):
         read_capture(folder / "white_0.png")
-    with pytest.raises(BadInput):
+    with bad_input():
         read_capture("\0")
     (folder / "nir_2.png").unlink()
-    with pytest.raises(BadInput, match=r"nir_2\.png does not exist"):
+    with bad_input(r"nir_2\.png does not exist"):
         read_capture(folder)
 
 
@@ -335,22 +334,20 @@ def test_images_that_do_not_match_the_others_are_refused(folder):
     good = read_image(folder / "white_2.png")
     data = (folder / "white_2.png").read_bytes()
     (folder / "white_2.png").write_bytes(data[: len(data) // 2])
-    with pytest.raises(BadInput, match=r"white_2\.png is truncated"):
+    with bad_input(r"white_2\.png is truncated"):
         read_capture(folder)
     write_image(folder / "white_2.png", good[:-1])
-    with pytest.raises(BadInput, match=r"white_2\.png has 39 x 30 pixels.* 40 x 30 are expected"):
+    with bad_input(r"white_2\.png has 39 x 30 pixels.* 40 x 30 are expected"):
         read_capture(folder)
     write_image(folder / "white_2.png", good[..., 0])
-    with pytest.raises(
-        BadInput, match=r"white_2\.png is 40 x 30 grey, 8 bits, but .*white_0\.png is 40 x 30 RGB"
-    ):
+    with bad_input(r"white_2\.png is 40 x 30 grey, 8 bits, but .*white_0\.png is 40 x 30 RGB"):
         read_capture(folder)
     write_image(folder / "white_2.png", good.astype(np.uint16))
-    with pytest.raises(BadInput, match=r"white_2\.png is 40 x 30 RGB, 16 bits"):
+    with bad_input(r"white_2\.png is 40 x 30 RGB, 16 bits"):
         read_capture(folder)
     write_image(folder / "white_2.png", good)
     edit(folder / "rig.json", camera_with(image_size=[30, 40]))
-    with pytest.raises(BadInput, match=r"white_0\.png .*rig for another camera"):
+    with bad_input(r"white_0\.png .*rig for another camera"):
         read_capture(folder)
 
 
@@ -359,7 +356,7 @@ def test_a_capture_that_could_not_be_read_back_is_not_written(tmp_path, build_ca
     white = capture.bands["white"]
 
     def refused(words, **changes):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             write_capture(replace(capture, **changes), tmp_path / "out")
         assert list(tmp_path.iterdir()) == []
 
@@ -384,19 +381,19 @@ def test_a_tiff_file_that_is_not_the_one_written_is_refused(tmp_path, build_capt
     data[len(data) // 2] ^= 1
     file.write_bytes(data)
     assert read_image(file).size > 0
-    with pytest.raises(BadInput, match=r"white_1\.tiff is damaged or was changed"):
+    with bad_input(r"white_1\.tiff is damaged or was changed"):
         read_capture(folder)
     edit(folder / "capture.json", lambda document: document["sha256"].pop("white_1.tiff"))
     read_capture(folder)
 
 
 def test_a_capture_is_not_overwritten_unless_asked(folder, build_capture):
-    with pytest.raises(BadInput, match="exists and is not empty"):
+    with bad_input("exists and is not empty"):
         write_capture(build_capture(), folder)
     write_capture(build_capture(np.uint16), folder, overwrite=True)
     assert read_capture(folder).bands["white"].pixels.dtype == np.uint16
     (folder / "notes.txt").write_text("mine")
-    with pytest.raises(BadInput, match=r"'notes\.txt', which splitknit did not write"):
+    with bad_input(r"'notes\.txt', which splitknit did not write"):
         write_capture(build_capture(), folder, overwrite=True)
     assert (folder / "notes.txt").read_text() == "mine"
 
@@ -497,7 +494,7 @@ def test_wrong_rigs_are_refused(change, words, tmp_path):
     document = json.loads(json.dumps(RIG))
     change(document)
     (tmp_path / "rig.json").write_text(json.dumps(document))
-    with pytest.raises(BadInput, match=words) as caught:
+    with bad_input(words) as caught:
         read_rig(tmp_path / "rig.json")
     assert str(tmp_path / "rig.json") in str(caught.value)
 
@@ -508,7 +505,7 @@ def test_coplanar_lights_are_refused(folder):
             led["position_mm"] = [10.0 * (k % 4), 0.0, 140.0]
 
     edit(folder / "rig.json", flatten)
-    with pytest.raises(BadInput, match=r"capture\.json: bands\.white\.leds: lights are coplanar"):
+    with bad_input(r"capture\.json: bands\.white\.leds: lights are coplanar"):
         read_capture(folder)
 
 
@@ -517,5 +514,5 @@ def test_the_images_of_a_capture_have_a_budget_together(folder, monkeypatch):
     monkeypatch.setattr("splitknit.io.images.STACK_BYTES", 2 * pixels.nbytes)
     read_capture(folder)
     monkeypatch.setattr("splitknit.io.images.STACK_BYTES", 2 * pixels.nbytes - 1)
-    with pytest.raises(BadInput, match=rf"take {2 * pixels.nbytes} bytes once decoded"):
+    with bad_input(rf"take {2 * pixels.nbytes} bytes once decoded"):
         read_capture(folder)

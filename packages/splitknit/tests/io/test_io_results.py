@@ -13,7 +13,7 @@ import pytest
 import tifffile
 
 import splitknit
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.io.images import write_float_tiff
 from splitknit.io.mesh import triangulate, write_ply
 from splitknit.io.prints import (
@@ -107,7 +107,7 @@ def test_a_height_tiff_keeps_heights_pitch_and_provenance(tmp_path):
     ("shape", "pitch_mm", "words"), [((4, 5), 0.0, "pitch_mm"), ((1, 4, 5), 0.1, "shape")]
 )
 def test_a_height_tiff_without_pitch_or_of_three_axes_is_refused(shape, pitch_mm, words, tmp_path):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         write_float_tiff(tmp_path / "h.tiff", np.zeros(shape), "mm", pitch_mm=pitch_mm)
 
 
@@ -154,7 +154,7 @@ BLANK = np.zeros((30, 20), np.uint8)
     ],
 )
 def test_prints_that_a_png_cannot_hold_are_refused(words, arguments, tmp_path):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         write_print_png(tmp_path / "print.png", *arguments)
 
 
@@ -200,5 +200,5 @@ def test_provenance_states_software_settings_and_sorted_inputs():
     "value", [float("nan"), np.float32("inf"), {"a": [float("-inf")]}, object()]
 )
 def test_values_without_a_form_in_json_are_refused(value):
-    with pytest.raises(BadInput):
+    with bad_input():
         canonical_json(value)

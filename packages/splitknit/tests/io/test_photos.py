@@ -12,6 +12,7 @@ import tifffile
 from PIL import Image
 
 from io_shared import import_photographs
+from refusals import bad_input
 from splitknit.errors import BadInput
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.capture import read_capture, write_capture
@@ -68,7 +69,7 @@ def test_bmp_and_float_tiff_are_read_and_nan_is_refused(tmp_path):
         np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
     values[3, 4] = np.nan
     tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
-    with pytest.raises(BadInput, match="not finite"):
+    with bad_input("not finite"):
         read_photo(tmp_path / "x.tif")
 
 
@@ -132,7 +133,7 @@ def test_raw_values_are_linear_and_on_one_scale(tmp_path):
 )
 def test_data_that_are_no_photograph_are_refused(data, words, tmp_path):
     (tmp_path / "x.png").write_bytes(data)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         read_photo(tmp_path / "x.png")
 
 
@@ -200,7 +201,7 @@ def test_a_size_is_refused_before_memory_is_taken(suffix, tmp_path, monkeypatch)
         raise BadInput(f"{rows} x {columns}")
 
     turned = suffix not in ("heic", "bmp")  # BMP has no EXIF
-    with pytest.raises(BadInput, match="60 x 40" if turned else "40 x 60"):
+    with bad_input("60 x 40" if turned else "40 x 60"):
         read_photo(file, check)
 
 
@@ -215,7 +216,7 @@ def test_a_picture_of_another_size_than_the_first_is_not_decoded(which, folder, 
     monkeypatch.setattr("splitknit.io.photos.decode_pixels", decode)
     Image.fromarray(picture(41)).save(folder / which)
     dark = folder / which if which == "dark.png" else None
-    with pytest.raises(BadInput, match=f"{which} has 41 x 60 pixels"):
+    with bad_input(f"{which} has 41 x 60 pixels"):
         import_photographs(folder, background=dark)
     assert set(decoded) == {(60, 60)}
 
@@ -224,7 +225,7 @@ def test_a_picture_of_another_size_than_the_first_is_not_decoded(which, folder, 
 def test_a_print_of_too_many_pixels_is_not_decoded(suffix, monkeypatch):
     monkeypatch.setattr("splitknit.io.photos.decode_pixels", never)
     data = cv2.imencode(f".{suffix}", np.zeros((8100, 8000), np.uint8))[1].tobytes()
-    with pytest.raises(BadInput, match="x has 8100 x 8000 pixels, more than the 64000000"):
+    with bad_input("x has 8100 x 8000 pixels, more than the 64000000"):
         decode_print_image(data, "x")
 
 
@@ -263,17 +264,17 @@ TWO_LIGHTS = "p10.png 0 0.5 0.9\np11 0 -0.5 0.9\n"
 )
 def test_wrong_names_in_the_light_list_are_refused(text, words, folder):
     (folder / "lights.txt").write_text(text)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         import_photographs(folder)
 
 
 def test_a_wrong_number_of_photographs_names_the_skipped_files(folder):
     (folder / "p12.png").rename(folder / "p12.gif")
-    with pytest.raises(BadInput, match=r"4 photographs .* 5 lights; skipped: p12\.gif"):
+    with bad_input(r"4 photographs .* 5 lights; skipped: p12\.gif"):
         import_photographs(folder)
     for file in folder.glob("p*"):
         file.rename(file.with_suffix(".txt"))
-    with pytest.raises(BadInput, match=r"holds no photographs .*skipped: p8\.txt"):
+    with bad_input(r"holds no photographs .*skipped: p8\.txt"):
         import_photographs(folder)
 
 
@@ -291,7 +292,7 @@ def test_a_series_with_one_exif_orientation_is_turned_as_a_whole(folder):
     )
     assert any("orientation 3" in str(note) for note in imported.notes)
     Image.fromarray(ball(DIRECTIONS[2])).save(folder / "p10.png")
-    with pytest.raises(BadInput, match=r"p10\.png is turned differently"):
+    with bad_input(r"p10\.png is turned differently"):
         import_photographs(folder)
 
 
@@ -317,7 +318,7 @@ def test_an_assumed_tone_curve_gets_a_note(folder):
     assert any("srgb is assumed of the .jpg files" in str(note) for note in imported.notes)
     Image.fromarray(ball(DIRECTIONS[0])).save(folder / "p8.png")
     (folder / "p8.jpg").unlink()
-    with pytest.raises(BadInput, match="`encoding`"):
+    with bad_input("`encoding`"):
         import_photographs(folder)
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from io_shared import Build
+from refusals import bad_input
 from small_capture import edit
 from splitknit.capture import Ambient, Capture
-from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, with_rig, write_capture
 from splitknit.io.rig import write_rig
 from splitknit.model import Led
@@ -111,7 +111,7 @@ def _exposed(document: Any) -> None:
 def test_series_that_do_not_match_are_refused(polarised, tmp_path, change, words):
     write_capture(polarised, tmp_path / "c")
     edit(tmp_path / "c" / "capture.json", change)
-    with pytest.raises(BadInput, match=r"capture\.json") as refused:
+    with bad_input(r"capture\.json") as refused:
         read_capture(tmp_path / "c")
     assert words in str(refused.value)
 
@@ -124,9 +124,9 @@ def test_polarised_series_with_coloured_leds_are_refused(polarised, tmp_path):
             led["colour"] = colour
 
     edit(tmp_path / "c" / "rig.json", paint)
-    with pytest.raises(BadInput, match="polarised series are lit by white LEDs"):
+    with bad_input("polarised series are lit by white LEDs"):
         read_capture(tmp_path / "c")
-    with pytest.raises(BadInput, match="polarised series are lit by white LEDs"):
+    with bad_input("polarised series are lit by white LEDs"):
         with_rig(polarised, tmp_path / "c" / "rig.json")
 
 
@@ -138,9 +138,7 @@ def test_another_rig_must_hold_the_leds_of_both_series(polarised, tmp_path):
     write_rig(brighter, tmp_path / "new.json")
     assert with_rig(capture, tmp_path / "new.json").rig.leds[8].intensity == 2.0
     write_rig(replace(brighter, leds=brighter.leds[:8]), tmp_path / "short.json")
-    with pytest.raises(
-        BadInput, match="LED 8, which lit images of the band 'white_crossed', is not in it"
-    ):
+    with bad_input("LED 8, which lit images of the band 'white_crossed', is not in it"):
         with_rig(capture, tmp_path / "short.json")
 
 
@@ -174,7 +172,7 @@ def test_a_pixel_that_clips_in_either_series_clips_in_the_mean(polarised, clips,
 
 
 def test_polarised_captures_are_not_composed_into_coloured_exposures(polarised):
-    with pytest.raises(BadInput, match="this capture is polarised"):
+    with bad_input("this capture is polarised"):
         as_lit(polarised, LightsSettings(compose=1))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import splitknit
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.folders import reconstruct_to_folder
 from splitknit.io.normal_maps import read_normal_map
 from splitknit.io.photographs import GivenPhotographs
@@ -132,19 +132,19 @@ def test_bad_maps_are_refused_in_one_sentence(tmp_path):
     }
     for name, (array, words) in refused.items():
         np.save(tmp_path / name, array)
-        with pytest.raises(BadInput, match=words.replace("(", r"\(").replace(")", r"\)")):
+        with bad_input(words.replace("(", r"\(").replace(")", r"\)")):
             reconstruct_to_folder(out=tmp_path / "out", normals=tmp_path / name)
     (tmp_path / "short.npy").write_bytes((tmp_path / "away.npy").read_bytes()[:-9])
-    with pytest.raises(BadInput, match="damaged"):
+    with bad_input("damaged"):
         read_normal_map(tmp_path / "short.npy")
-    with pytest.raises(BadInput, match=r"`keep` goes with photographs"):
+    with bad_input(r"`keep` goes with photographs"):
         reconstruct_to_folder(out=tmp_path / "out", normals=tmp_path / "away.npy", keep=True)
-    with pytest.raises(BadInput, match=r"`normals_y` goes with `normals`"):
+    with bad_input(r"`normals_y` goes with `normals`"):
         reconstruct_to_folder("capture", out=tmp_path / "out", normals_y="up")
     other = written("png", tmp_path)
     cv2.imwrite(str(tmp_path / "mask.png"), np.full((8, 8), 255, np.uint8))
     given = GivenPhotographs(mask=tmp_path / "mask.png")
-    with pytest.raises(BadInput, match="8 x 8 pixels, but 80 x 80 are expected"):
+    with bad_input("8 x 8 pixels, but 80 x 80 are expected"):
         reconstruct_to_folder(out=tmp_path / "out", normals=other, photographs=given)
     assert not (tmp_path / "out").exists()
 
@@ -161,5 +161,5 @@ def test_a_rig_gives_the_rays_and_the_scale(tmp_path):
     result = splitknit.read_result(tmp_path / "out")
     assert result.x_mm is not None
     assert result.pitch_mm == pytest.approx(1 / PX_PER_MM)
-    with pytest.raises(BadInput, match=r"^\S*none\.json does not exist"):
+    with bad_input(r"^\S*none\.json does not exist"):
         reconstruct_to_folder(out=tmp_path / "x", normals=file, rig=tmp_path / "none.json")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dome_photographs import COLOUR, PX_PER_MM, dome, with_nir
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.findings import Finding, Severity
 from splitknit.methods import photographs as module
 from splitknit.methods.photographs import (
@@ -208,7 +208,7 @@ class TestPlaced:
 
 class TestMirrorShape:
     def test_a_surface_kept_whole_has_no_place_for_it(self):
-        with pytest.raises(BadInput, match="keeps the visible surface whole"):
+        with bad_input("keeps the visible surface whole"):
             override(EA, {"shape.source": "mirror"})
 
     @pytest.mark.parametrize(("settings", "detailed"), [(METRIC, True), (SNK, False)])

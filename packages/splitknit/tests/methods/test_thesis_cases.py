@@ -180,22 +180,6 @@ class TestPreparedLight:
         )
         assert [name for name, _ in steps] == ["balanced", "equalised", "direct"]
 
-    @pytest.mark.parametrize(
-        ("settings", "name"),
-        [
-            ({"balance": True}, "balanced"),
-            ({"clahe": True}, "equalised"),
-            ({"method": "network"}, "direct"),
-        ],
-    )
-    def test_each_is_taken_alone(self, bands, steps, settings, name):
-        thesis.visible_normals(bands[0], self.photometry(**settings))
-        assert [taken for taken, _ in steps] == [name]
-
-    def test_none_is_taken_of_plain_light(self, bands, steps):
-        thesis.visible_normals(bands[0], self.photometry())
-        assert steps == []
-
     def test_colours_are_balanced_on_the_kept_skin(self, bands, steps):
         white = bands[0]
         thesis.visible_normals(white, self.photometry(balance=True))
@@ -207,14 +191,6 @@ class TestPreparedLight:
         settings = self.photometry(method="network")
         thesis.visible_normals(bands[0], settings)
         assert steps[0][1] == (bands[0], settings.direct)
-
-    def test_prepared_light_has_normals_inside_the_mask(self, bands, steps, monkeypatch):
-        masks = []
-        monkeypatch.setattr(
-            thesis, "distant_normals", lambda images, lights, inside, p: masks.append(inside)
-        )
-        thesis.visible_normals(bands[0], self.photometry(balance=True))
-        np.testing.assert_array_equal(masks[0], bands[0].inside)
 
     def test_grey_images_are_not_negative(self, bands):
         white = bands[0]
@@ -258,15 +234,3 @@ class TestDirectLight:
         seen, network = asked["grey"]
         np.testing.assert_array_equal(seen, images * white.inside)
         assert network == direct.network
-
-    @pytest.mark.parametrize(
-        ("method", "material", "words"),
-        [
-            ("none", "skin", "none"),
-            ("network", "opaque", "none (opaque material: all light is direct)"),
-            ("network", "skin", "direct light by the network 'direct'"),
-        ],
-    )
-    def test_it_is_stated(self, method, material, words):
-        direct = replace(PARAMETERS.photometry.direct, method=method, network="direct")
-        assert thesis._separation_of(direct, material) == words

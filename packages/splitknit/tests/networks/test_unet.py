@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.networks.unet import (
     NO_TELEMETRY,
     Network,
@@ -50,7 +50,7 @@ def telemetry(request, monkeypatch) -> None:
 @pytest.mark.usefixtures("telemetry")
 def test_onnxruntime_is_imported_without_telemetry(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)  # as if it were not installed
-    with pytest.raises(BadInput, match="pip install onnxruntime"):
+    with bad_input("pip install onnxruntime"):
         load_network(TINY)
     assert os.environ[NO_TELEMETRY] == "1"
 
@@ -58,7 +58,7 @@ def test_onnxruntime_is_imported_without_telemetry(monkeypatch):
 @pytest.mark.usefixtures("network", "telemetry")
 def test_onnxruntime_imported_with_telemetry_is_refused():
     assert "onnxruntime" in sys.modules
-    with pytest.raises(BadInput, match="ORT_DISABLE_TELEMETRY=1 before"):
+    with bad_input("ORT_DISABLE_TELEMETRY=1 before"):
         load_network(TINY)
 
 
@@ -118,14 +118,14 @@ def test_networks_run_on_cuda_where_onnxruntime_offers_it(offered, images):
     ],
 )
 def test_a_device_that_is_not_offered_is_refused(offered, device, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         use_device(device)
 
 
 def test_cuda_without_its_libraries_is_refused(offered):
     offered[0][:0] = ["CUDAExecutionProvider", "broken"]
     use_device("cuda")
-    with pytest.raises(BadInput, match="cannot start cuda"):
+    with bad_input("cannot start cuda"):
         load_network(TINY)
 
 
@@ -211,14 +211,14 @@ def test_each_image_is_processed_independently(network, images):
     ],
 )
 def test_images_of_a_wrong_shape_are_refused(network, shape, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         run_network(network, np.ones(shape, dtype=np.float32))
 
 
 def test_an_image_with_nan_is_refused(network):
     image = np.ones((1, 16, 16), dtype=np.float32)
     image[0, 3, 3] = np.nan
-    with pytest.raises(BadInput, match="NaN"):
+    with bad_input("NaN"):
         run_network(network, image)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.observation.films import (
     findings_on_series,
     separate_polarised,
@@ -92,7 +92,7 @@ def test_what_clips_behind_one_film_clips_in_the_parallel_image():
     ],
 )
 def test_frames_that_are_no_mosaic_of_films_are_refused(mosaic, colour):
-    with pytest.raises(BadInput, match="a mosaic of films has one channel"):
+    with bad_input("a mosaic of films has one channel"):
         split_mosaic(mosaic, 0.0, colour=colour)
 
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit.capture import Ambient, Band
-from splitknit.errors import BadInput
 from splitknit.imaging.pixels import GREY_WEIGHTS, bin_mean, pick_channel
 from splitknit.io import paging
 from splitknit.model import Camera, Led, Rig
@@ -42,7 +42,7 @@ def test_linear_code_is_the_fraction_of_the_full_scale():
     np.testing.assert_allclose(
         decode_table(np.dtype(np.uint16), "linear")[[0, 13107, 65535]], [0, 0.2, 1]
     )
-    with pytest.raises(BadInput, match="rec709"):
+    with bad_input("rec709"):
         decode_table(np.dtype(np.uint8), "rec709")
 
 
@@ -226,5 +226,5 @@ def test_a_full_disk_is_refused(monkeypatch):
 
     monkeypatch.setattr(paging, "IN_MEMORY", 100)
     monkeypatch.setattr(paging.os, "posix_fallocate", full)
-    with pytest.raises(BadInput, match=r"of disk while they are worked on \(No space left"):
+    with bad_input(r"of disk while they are worked on \(No space left"):
         paging.new_stack((3, 100, 100, 3), np.dtype(np.uint8))

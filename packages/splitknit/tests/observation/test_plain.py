@@ -12,7 +12,7 @@ from PIL.PngImagePlugin import PngInfo
 
 import splitknit
 from io_shared import import_photographs
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.imaging.pixels import srgb_code
 from splitknit.imaging.view import plane_points
 from splitknit.io.capture import read_capture, write_capture
@@ -109,7 +109,7 @@ def test_photographs_and_lights_become_a_capture(plain):
     ],
 )
 def test_lights_and_options_that_cannot_be_used_are_refused(options, words, plain):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         convert(plain, **options)
 
 
@@ -147,7 +147,7 @@ def test_light_lists_of_several_forms_are_read(text, tmp_path):
 )
 def test_wrong_light_lists_are_refused(text, words, tmp_path):
     (tmp_path / "l.txt").write_bytes(text)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         read_light_list(tmp_path / "l.txt")
 
 
@@ -176,19 +176,19 @@ def test_lights_by_azimuth_and_elevation_are_read(text, names, bright, tmp_path)
 def test_impossible_angles_are_refused(tmp_path):
     for text, words in (("60 120\n", "azimuth stands first"), ("9 60\n60\n", "line 3: two finite")):
         (tmp_path / "l.txt").write_text(f"azimuth_deg elevation_deg\n{text}")
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             read_light_list(tmp_path / "l.txt")
 
 
 def test_ambiguous_commas_are_refused(tmp_path):
     (tmp_path / "l.txt").write_text("0,5,0,3,0,8\n")
-    with pytest.raises(BadInput, match=r"line 1: .*; write decimals with a point, or put spaces"):
+    with bad_input(r"line 1: .*; write decimals with a point, or put spaces"):
         read_light_list(tmp_path / "l.txt")
 
 
 def test_photographs_without_a_list_are_refused_with_what_to_give(unmasked):
     words = "give `lights`, a list of directions or places, or a rig file: a ball in the pictures"
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         import_photographs(unmasked)
 
 
@@ -210,7 +210,7 @@ def test_places_in_mm_are_near_lights(unmasked):
     np.savetxt(table, places, header="x_mm y_mm z_mm", comments="")
     rig = import_photographs(unmasked, px_per_mm=20.0).capture.rig
     np.testing.assert_array_equal([led.position_mm for led in rig.leds], places)
-    with pytest.raises(BadInput, match="`px_per_mm`"):
+    with bad_input("`px_per_mm`"):
         import_photographs(unmasked)
     leds = (Led("nir", position_mm=(1.0, 2.0, 90.0)), *rig.leds)
     write_rig(Rig(Camera(12.5, (25, 35)), leds), unmasked / "rig.json")
@@ -237,7 +237,7 @@ def test_the_encoding_that_a_png_states_is_used(tmp_path):
     assert undecided == "srgb" and "is assumed" in note and "`encoding`" in note
     write_image(tmp_path / "d.png", np.zeros((4, 4), np.uint16))
     assert encoding_of([tmp_path / "d.png"], lambda: None)[0] == "linear"
-    with pytest.raises(BadInput, match=r"several kinds.*`encoding`"):
+    with bad_input(r"several kinds.*`encoding`"):
         encoding_of([tmp_path / "s.png", tmp_path / "n.png"], lambda: False)
 
 
@@ -294,7 +294,7 @@ def test_a_wrongly_stated_encoding_spoils_a_matt_thing(tmp_path, code, right, wr
     codes = {finding.code for finding in splitknit.reconstruct(sound).findings}
     assert "other-encoding" not in codes
     spoilt = splitknit.read_photographs(tmp_path, px_per_mm=10.0, encoding=wrong)
-    with pytest.raises(BadInput, match=f"shade as {right}, not as {wrong}"):
+    with bad_input(f"shade as {right}, not as {wrong}"):
         splitknit.reconstruct(spoilt)
 
 
@@ -327,7 +327,7 @@ def test_brightness_is_estimated_or_equal_as_chosen(tmp_path):
 
 
 def test_the_brightness_of_four_lights_cannot_be_estimated(unmasked):
-    with pytest.raises(BadInput, match="five lights or more"):
+    with bad_input("five lights or more"):
         import_photographs(unmasked, LIGHTS, brightness="estimate")
 
 
@@ -401,14 +401,14 @@ def test_large_stacks_are_processed_in_strips_from_disk(tmp_path, monkeypatch):
 def test_a_link_to_itself_is_refused(plain):
     (plain / "3.png").unlink()
     (plain / "3.png").symlink_to("3.png")
-    with pytest.raises(BadInput, match="has 4 lights"):
+    with bad_input("has 4 lights"):
         convert(plain)
     (plain / "lights.txt").write_text(
         "\n".join(f"{k}.png {x} {y} {z}" for k, (x, y, z) in enumerate(LIGHTS))
     )
-    with pytest.raises(BadInput, match=r"3\.png"):
+    with bad_input(r"3\.png"):
         import_photographs(plain, px_per_mm=12.5)
-    with pytest.raises(BadInput, match=r"3\.png"):
+    with bad_input(r"3\.png"):
         import_photographs(plain, None, 12.5, mask=plain / "3.png")
 
 
@@ -436,7 +436,7 @@ def test_light_lists_may_state_brightness_and_names(text, names, bright, tmp_pat
 )
 def test_an_invalid_brightness_is_refused(text, tmp_path):
     (tmp_path / "l.txt").write_text(text)
-    with pytest.raises(BadInput, match=r"brightness|three finite numbers"):
+    with bad_input(r"brightness|three finite numbers"):
         read_light_list(tmp_path / "l.txt")
 
 
@@ -453,7 +453,7 @@ def test_an_intensities_file_beside_the_list_is_used(columns, unmasked):
     assert not imported.capture.rig.intensities_assumed
     assert not any("light_intensities" in str(note) for note in imported.notes)
     (unmasked / "light_intensities.txt").write_text("1\n2\n")
-    with pytest.raises(BadInput, match="has 2 lines, but there are"):
+    with bad_input("has 2 lines, but there are"):
         import_photographs(unmasked)
 
 
@@ -464,7 +464,7 @@ def test_one_photograph_under_three_coloured_lights_is_three_images(tmp_path):
     capture = import_photographs(tmp_path, lights).capture
     np.testing.assert_array_equal(capture.bands["white"].pixels[..., 0], np.moveaxis(image, 2, 0))
     write_image(tmp_path / "frame.png", image[..., 0])
-    with pytest.raises(BadInput, match=r"frame\.png is grey"):
+    with bad_input(r"frame\.png is grey"):
         import_photographs(tmp_path, lights)
 
 
@@ -483,7 +483,7 @@ def test_a_mask_is_read_from_transparency_or_covers_all(tmp_path):
     imported = import_photographs(tmp_path, mask=file, **known)
     np.testing.assert_array_equal(imported.capture.mask, inside)
     Image.fromarray(picture).save(tmp_path / "mask.png")
-    with pytest.raises(BadInput, match="is a picture and no mask"):
+    with bad_input("is a picture and no mask"):
         import_photographs(tmp_path, px_per_mm=5.0)
     assert import_photographs(tmp_path, mask="all", **known).capture.mask.all()
 
@@ -553,7 +553,7 @@ def test_a_dome_file_states_which_lights_hold_and_how_bright_they_are(tmp_path):
     ]
     for change, words in wrong:
         file.write_text(json.dumps({**document, **change}))
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             read_light_list(file)
 
 
@@ -575,10 +575,10 @@ def test_a_list_of_places_may_state_the_camera(unmasked):
     assert again.camera_mm == (1.0, -2.0, 80.0)
     np.testing.assert_allclose(again.lights, 90 * LIGHTS, atol=1e-5)
     (folder / "lights.txt").write_text("# camera_mm 1.0 80.0\n# x_mm y_mm z_mm\n" + places)
-    with pytest.raises(BadInput, match="camera_mm needs three numbers"):
+    with bad_input("camera_mm needs three numbers"):
         read_light_list(folder / "lights.txt")
     (folder / "lights.txt").write_text("# camera_mm 1 2 80\n0 0 1\n1 0 1\n0 1 1\n")
-    with pytest.raises(BadInput, match="its lights are directions"):
+    with bad_input("its lights are directions"):
         read_light_list(folder / "lights.txt")
 
 
@@ -594,7 +594,7 @@ def test_rows_too_long_for_directions_are_refused_without_a_first_line(tmp_path)
     places = 100.0 * LIGHTS
     file = tmp_path / "lights.txt"
     np.savetxt(file, places)
-    with pytest.raises(BadInput, match=r"too long for directions.*x_mm y_mm z_mm"):
+    with bad_input(r"too long for directions.*x_mm y_mm z_mm"):
         read_light_list(file)
     for title, near in (("x_mm y_mm z_mm", True), ("x y z", False)):
         np.savetxt(file, places, header=title)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.skin.diffusion import SkinSettings, diffusion
 
 RIDGES = 2 * np.pi * 75.7 / 33  # rad/mm of one cycle in 33 px at 75.7 px/mm
@@ -107,7 +107,7 @@ def test_the_scattering_factor_scales_all_channels_and_is_positive():
         assert doubled.absorption(channel) == plain.absorption(channel)
     # Jacques: 4.6 (wavelength / 500 nm)^-1.42 per mm at the channel's wavelength
     assert plain.scattering("nir") == pytest.approx(4.6 * (850 / 500) ** -1.42, rel=0.01)
-    with pytest.raises(BadInput, match="skin"):
+    with bad_input("skin"):
         SkinSettings(scattering_factor=-1.0)
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from skin_scene import fresnel, make_scene, relief_gain, shape_rms
-from splitknit.errors import BadInput
 from splitknit.methods.metric import metric_skin
 from splitknit.skin.diffusion import SkinSettings
 from splitknit.skin.grid import BandImages, coarsen
@@ -163,5 +163,5 @@ def test_the_images_are_not_changed(scene):
 
 @pytest.mark.parametrize("wrong", [{"rounds": 0}, {"relief": "magic"}, {"coarse_steps": 0}])
 def test_metric_settings_out_of_range_are_refused(wrong):
-    with pytest.raises(BadInput, match=r"metric\."):
+    with bad_input(r"metric\."):
         MetricSettings(**wrong)
