@@ -19,8 +19,8 @@ from typing import Any
 import pytest
 
 from batch_stores import run, tables
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.networks.unet import running
 from splitknit_match.batch import tasks
 from splitknit_match.batch.store import Store
@@ -78,7 +78,7 @@ def test_tasks_here_and_in_processes_give_the_same():
 
 
 def test_a_killed_process_ends_the_run_with_one_sentence():
-    with pytest.raises(BadInput, match="a worker was killed") as error:
+    with bad_input("a worker was killed") as error:
         sizes(die, range(4), TWO)
     assert "run the same again" in str(error.value)
 
@@ -92,7 +92,7 @@ def test_workers_are_as_many_as_memory_holds(monkeypatch):
 
 def test_a_package_that_is_missing_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    missing = pytest.raises(BadInput, match=r"distributed.*splitknit-match\[cluster\]")
+    missing = bad_input(r"distributed.*splitknit-match\[cluster\]")
     with missing, connected("tcp://127.0.0.1:1"):
         pass
 
@@ -178,7 +178,7 @@ def listening() -> int:
     ],
 )
 def test_other_addresses_are_refused(address):
-    with pytest.raises(BadInput, match="is not the address of a scheduler"), connected(address):
+    with bad_input("is not the address of a scheduler"), connected(address):
         pass
 
 
@@ -192,7 +192,7 @@ def test_code_goes_to_other_computers_only_encrypted():
         "[2001:db8::1]",
     ):
         with (
-            pytest.raises(BadInput, match="can send code that its workers run"),
+            bad_input("can send code that its workers run"),
             connected(f"tcp://{host}:8786"),
         ):
             pass
@@ -203,9 +203,7 @@ def test_code_goes_to_other_computers_only_encrypted():
 def test_a_scheduler_that_is_not_there(host, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(tasks, "PATIENCE_S", 0.5)
-    refused = pytest.raises(
-        BadInput, match=r"cannot be reached \(.*(refused|no answer in time|Cannot assign)"
-    )
+    refused = bad_input(r"cannot be reached \(.*(refused|no answer in time|Cannot assign)")
     with refused, connected(f"tcp://{host}:9"):
         pass
 
@@ -288,7 +286,7 @@ def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(
     with (
         configured(foreign),
         dask.config.set(weak),
-        pytest.raises(BadInput, match="verify failed"),
+        bad_input("verify failed"),
         connected(address),
     ):
         pass

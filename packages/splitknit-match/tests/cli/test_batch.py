@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit_match.batch.verbs import _case
 
 
@@ -93,7 +93,7 @@ def test_cases_of_ones_own():
     assert (case.name, case.preset) == ("near", "ea")
     assert case.changes == {"normals.method": "near_light", "shapelets.scales": 5}
     assert _case("plain=pr").changes == {}
-    with pytest.raises(BadInput, match="NAME=PRESET"):
+    with bad_input("NAME=PRESET"):
         _case("plain")
-    with pytest.raises(BadInput, match="not of the form"):
+    with bad_input("not of the form"):
         _case("a=ea:rubbish")

@@ -18,7 +18,6 @@ from splitknit_match.evaluation.intervals import BootstrapSettings
 from splitknit_match.evaluation.protocol import comparisons
 from splitknit_match.evaluation.rates import roc
 
-Captured = pytest.CaptureFixture[str]
 QUICK = ["--replicates", "50"]
 HAND = "label,score\n1,0.9\n1,0.8\n1,0.7\n1,0.3\n0,0.1\n0,0.2\n0,0.4\n0,0.5\n"
 
@@ -278,8 +277,6 @@ def test_averaged_and_not(folder, tmp_path):
     ("text", "words"),
     [
         ("label,score\n1,0.5\n0,nan\n", "line 3"),
-        ("label,score\n0,0.5\n0,0.4\n", "bad holds no genuine (label 1)"),
-        ("label,score\n1,\n0,0.4\n", "all 1 are failures to acquire"),
         ("label,score,finger_a,finger_b\n1,2,x,x\n0,1,x,x\n", "line 3: label and ids"),
     ],
 )
@@ -314,14 +311,3 @@ def test_other_bad_requests(folder, tmp_path, capsys):
     assert main(["evaluate", "--out", out]) == 2
     capsys.readouterr()
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_scores_without_spread(tmp_path):
-    (tmp_path / "same.csv").write_text("label,score\n1,5\n1,5\n0,5\n0,5\n")
-    out = tmp_path / "out"
-    assert main([*f"evaluate --scores {tmp_path}/same.csv --out {out}".split(), *QUICK]) == 0
-    facts = report(out)
-    assert facts["eer"]["value"] == 0.5 and facts["systems"]["same"]["d_prime"] is None
-    assert facts["gar_at_far"]["0.01"]["value"] == 0.0
-    assert facts["systems"]["same"]["operating_points"]["0.01"]["threshold"] is None

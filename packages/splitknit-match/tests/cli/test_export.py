@@ -9,7 +9,6 @@ from typing import get_args
 
 import numpy as np
 import pytest
-import tifffile
 from PIL import Image
 
 import handmade
@@ -91,20 +90,6 @@ def test_an_exported_picture_is_read_back(prints, tmp_path, capsys, to):
         assert picture.image.shape == original.shape
         difference = np.abs(picture.image.astype(int) - original)
         assert difference.mean() < (12 if lossy else 1e-9)
-
-
-@pytest.mark.slow
-def test_other_programs_read_exported_pictures(prints, tmp_path, capsys):
-    """Pillow with the package wsq, and tifffile."""
-    pytest.importorskip("wsq")
-    for to in PICTURES:
-        export(capsys, tmp_path, to, prints / "a.png", out=to)
-    original = spiral_print()
-    with Image.open(tmp_path / "wsq" / "a.wsq") as image:
-        grey = np.asarray(image.convert("L"))
-    assert np.corrcoef(grey.ravel(), original.ravel())[0, 1] > 0.98
-    np.testing.assert_array_equal(tifffile.imread(tmp_path / "tiff" / "a.tiff"), original)
-    assert (tmp_path / "iso-19794-4" / "a.fir").read_bytes()[46:] == original.tobytes()
 
 
 @pytest.mark.slow

@@ -38,17 +38,6 @@ def test_templates_stand_for_results(results, tmp_path, capsys):
     assert (tmp_path / "a.skt").read_bytes() == (tmp_path / "b.skt").read_bytes()
 
 
-@pytest.mark.slow
-def test_prints_match_their_surfaces(results, capsys):
-    """A print is mirrored and lies flat; a surface is neither."""
-    same = facts_of(capsys, f"match {results}/a {results}/again/print.png")
-    both = facts_of(capsys, f"match {results}/a/print.png {results}/again/print.png")
-    impostor = facts_of(capsys, f"match {results}/a {results}/other/print.png")
-    assert same["b"]["kind"] == "print"
-    assert same["similarity"] > impostor["similarity"] + 0.2
-    assert both["similarity"] > 0.6
-
-
 def test_the_thesis_method(results, capsys):
     arguments = ("--method", "thesis", "--set", "thesis.gate=0.5")
     same = facts_of(capsys, f"match {results}/a {results}/again", *arguments)
@@ -144,6 +133,7 @@ def test_folders_of_print_are_matched(results, tmp_path, capsys):
     [
         ("NOWHERE a", "there is no"),
         ("a", "second finger"),
+        ("a --template NOWHERE --fmr 0.1", "is of a comparison"),
         ("EMPTY a", "neither a result"),
         ("TEXT a", "prints and minutiae are read"),
         ("BROKEN a", "cannot be read"),

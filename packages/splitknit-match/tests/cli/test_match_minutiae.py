@@ -39,13 +39,6 @@ def test_the_similarity_is_that_of_the_records(impressions, tmp_path, capsys):
         assert report_of(capsys, *sides)["similarity"] == report["similarity"]
 
 
-def test_prints_match_their_surfaces(impressions, capsys):
-    report = report_of(capsys, impressions / "a", impressions / "again" / "print.png")
-    assert report["similarity"] > 3
-    assert report["decision"]["match"]
-    assert "ISO templates of 20 real fingers" in report["fmr_basis"]["population"]
-
-
 def test_rates_are_of_the_shipped_table(impressions, capsys):
     same, impostor = (
         report_of(capsys, impressions / "a", impressions / name / "print.png")

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import splitknit_match
-from splitknit import BadInput, preset_settings
+from refusals import bad_input
+from splitknit import preset_settings
 from splitknit.cli.main import main
 from splitknit_simulator.finger.master_print import MasterPrintSettings, ink_print, master_print
 
@@ -69,7 +70,7 @@ def test_an_own_matcher_decides_by_its_own_rates(tmp_path, capsys):
 
 
 def test_names_that_are_none_are_refused():
-    with pytest.raises(BadInput, match=r"no matcher 'voted'; known are auto, ridge.*MODULE:NAME"):
+    with bad_input(r"no matcher 'voted'; known are auto, ridge.*MODULE:NAME"):
         splitknit_match.match(
             np.zeros((90, 90), np.uint8),
             np.zeros((90, 90), np.uint8),
@@ -82,7 +83,7 @@ def test_names_that_are_none_are_refused():
         ("mine:x", "cannot be imported"),
         ("mine:broken", "must return PipelineSettings"),
     ):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             preset_settings(name)
 
 

@@ -26,7 +26,7 @@ from splitknit.io.images import write_image
 from splitknit.io.npz import read_npz
 from splitknit.settings import override
 from splitknit_simulator.finger.master_print import ink_print, master_print
-from splitknit_simulator.population.folder import _jobs_of, _population_hash, choose_prints
+from splitknit_simulator.population.folder import _population_hash, choose_prints
 from splitknit_simulator.population.sessions import PopulationSettings, population_capture
 
 SMALL = (
@@ -39,7 +39,6 @@ SMALL = (
     "--sessions",
     "2",
 )
-Captured = pytest.CaptureFixture[str]
 
 
 def words(out: Path, *more: str, small: tuple[str, ...] = SMALL) -> list[str]:
@@ -271,17 +270,6 @@ def test_a_damaged_capture_is_named(population, tmp_path, capsys):
     shutil.copytree(population, out)
     (out / "S02" / "session_1" / "left_thumb" / "impression.json").write_text("[1")
     assert "S02/session_1/left_thumb/impression.json' is damaged" in refused(capsys, *words(out))
-
-
-def test_a_finger_is_one_job(tmp_path):
-    enrolment = open_enrolment(
-        tmp_path / "plan", subjects=2, sessions=3, fingers=("left_ring", "right_ring")
-    )
-    jobs = _jobs_of(enrolment.waiting())
-    assert [len(job) for job in jobs] == [3] * 4
-    assert [(job[0].subject, job[0].finger) for job in jobs] == [
-        ("S01", "left_ring"), ("S01", "right_ring"), ("S02", "left_ring"), ("S02", "right_ring"),
-    ]  # fmt: skip
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_match.evaluation.protocol import (
     average_sessions,
     comparisons,
@@ -56,9 +56,9 @@ def test_a_finger_that_is_missing_in_a_session_is_compared_with_the_others():
 
 
 def test_one_capture_a_finger_and_session_and_two_sessions_are_needed():
-    with pytest.raises(BadInput, match="two captures"):
+    with bad_input("two captures"):
         comparisons(["x", "x"], [1, 1])
-    with pytest.raises(BadInput, match="two sessions"):
+    with bad_input("two sessions"):
         comparisons(["x", "y"], [1, 1])
 
 
@@ -88,7 +88,7 @@ def test_scores_of_two_fingers_are_averaged_over_pairs_of_sessions():
     by_fingers = dict(zip(map("".join, names), averaged.score.tolist(), strict=True))
     assert by_fingers == {"xx": 4.0, "xy": 5.0, "yx": 6.0, "yy": 7.0}
     assert averaged.label.tolist() == [True, False, False, True]
-    with pytest.raises(BadInput, match="sessions are needed"):
+    with bad_input("sessions are needed"):
         average_sessions(replace(small(), session=None))
 
 
@@ -121,7 +121,7 @@ def test_systems_are_paired_by_their_ids():
     stranger = replace(second, finger=Ids(second.finger.codes, ("x", "q")))
     words = r"same pairs: .* lacks, or has more than once, .*finger [xy]"
     for system in (stranger, first.taken(np.arange(11))):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             pair_up(first, system)
 
 
@@ -131,7 +131,7 @@ def test_systems_without_ids_are_paired_by_place():
         first = Scores(label, np.array([3.0, 1.0, 2.0]), finger=finger)
         second = Scores(label, np.array([5.0, 0.0, 1.0]), finger=finger)
         assert pair_up(first, second) is second
-        with pytest.raises(BadInput, match="same pairs"):
+        with bad_input("same pairs"):
             pair_up(first, second.taken([1, 0, 2]))
 
 
@@ -145,7 +145,7 @@ def test_systems_without_ids_are_paired_by_place():
     ],
 )
 def test_scores_need_both_classes_and_finite_values(label, score, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         Scores(np.array(label), np.array(score))
 
 
@@ -158,5 +158,5 @@ def test_ids_that_contradict_labels_are_refused():
         {"finger": ids_of(["x", "x"], ["x", "x"])},
         {"subject": ids_of(["s", "s"], ["t", "s"])},
     ):
-        with pytest.raises(BadInput, match="contradict"):
+        with bad_input("contradict"):
             Scores(label, score, **ids)

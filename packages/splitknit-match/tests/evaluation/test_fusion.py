@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_match.evaluation.fusion import PENALTY, fit_linear, fit_logistic, fit_minmax, fuse
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit_match.evaluation.rates import roc
@@ -145,9 +145,9 @@ def test_the_pair_at_fault_is_named():
     places = np.arange(second.label.size)
     words = "'s1' lacks, or has more than once, finger 1, subject 0, session 1 with"
     for taken in (places != 20, np.append(places, 20)):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             fuse([first, second.taken(taken)])
-    with pytest.raises(BadInput, match="did not score the same pairs"):
+    with bad_input("did not score the same pairs"):
         fuse([first, replace(second, finger=None)])
 
 
@@ -165,17 +165,17 @@ def test_the_seed_decides_the_folds():
 
 def test_systems_that_cannot_be_fused_are_refused():
     two = systems(2)
-    with pytest.raises(BadInput, match="two systems at least"):
+    with bad_input("two systems at least"):
         fuse(two[:1])
-    with pytest.raises(BadInput, match="did not score the same pairs"):
+    with bad_input("did not score the same pairs"):
         fuse([two[0], systems(1, subjects=9)[0]])
-    with pytest.raises(BadInput, match="subject_a and subject_b"):
+    with bad_input("subject_a and subject_b"):
         fuse([replace(system, subject=None, finger=None) for system in two])
-    with pytest.raises(BadInput, match="do not vary"):
+    with bad_input("do not vary"):
         fuse([two[0], replace(two[1], score=np.ones(two[1].score.size))])
     label, subject = np.array([True, False]), ids_of(["a", "b"], ["a", "a"])
-    with pytest.raises(BadInput, match="three subjects"):
+    with bad_input("three subjects"):
         fuse([Scores(label, np.array([1.0, 0.0]), subject=subject, name=name) for name in "xy"])
     small = [replace(system, subject=None) for system in systems(2, subjects=2)]
-    with pytest.raises(BadInput, match="left to learn from"):
+    with bad_input("left to learn from"):
         fuse([system.taken((system.finger.codes < 3).all(axis=1)) for system in small])

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.io.prints import read_print_png
 from splitknit_match import enroll, identify
 from splitknit_match.matching.fusion import fused_match
@@ -85,7 +85,7 @@ def test_touches_of_a_laptops_sensor_are_matched_at_their_resolution(data_dir, t
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")
     touches = [folder / "register" / f"{number}.tiff" for number in range(1, 12)]
-    with pytest.raises(BadInput, match=r"at 508 ppi its ridges are 0.3\d mm apart"):
+    with bad_input(r"at 508 ppi its ridges are 0.3\d mm apart"):
         enroll(gallery, touches, "Ann", "right_index", resolution_ppi=508)
     enroll(gallery, touches, "Ann", "right_index", resolution_ppi=350)
     for number in (1, 2):
@@ -112,5 +112,5 @@ def test_sheets_of_several_prints_are_refused_and_no_print(name, data_dir):
         assert len({part.shape[0] for part in parts}) == 1
         sheet = np.concatenate(parts, axis=1)
         assert pressed_ridges(sheet).several
-        with pytest.raises(BadInput, match="prints of several fingers"):
+        with bad_input("prints of several fingers"):
             print_template(sheet)

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit.errors import BadInput
 from splitknit_match.gallery.file import (
     APPLICATION_ID,
@@ -115,13 +116,13 @@ def test_equal_enrolments_are_equal_files(tmp_path):
 def test_a_capture_is_kept_once(file, key):
     with GalleryFile(file, key) as gallery:
         assert gallery.add([new("Ann", 1), new("Cid", 9)], SETTINGS) == [False, True]
-        with pytest.raises(BadInput, match=r"Ann, right index, session 1 is in .* already"):
+        with bad_input(r"Ann, right index, session 1 is in .* already"):
             gallery.add([new("Dan", 8), new("Ann", 5)], SETTINGS)
         assert len(gallery) == 6  # Dan neither
         assert gallery.add([new("Ann", 5)], SETTINGS, replaces=True) == [True]
         (entry,) = gallery.entries("Ann", "right_index")
         assert gallery.people().templates[entry.row] == payload(5)
-        with pytest.raises(BadInput, match="are of another version"):
+        with bad_input("are of another version"):
             gallery.add([new("Dan", 8)], "00" * 32)
         assert len(gallery) == 6
 
@@ -134,7 +135,7 @@ def test_a_gallery_appears_with_its_first_finger(tmp_path, key):
     for how in ({"first": refuse}, {"last": refuse}):
         with GalleryFile(path, key) as gallery:
             assert not gallery.there
-            with pytest.raises(BadInput, match="not this one"):
+            with bad_input("not this one"):
                 gallery.add([new("Ann", 1)], SETTINGS, **how)
         assert not list(tmp_path.iterdir())
     path.touch()  # of one who was killed
@@ -150,7 +151,7 @@ def test_nothing_remains_of_a_removed_finger(file, key):
     with GalleryFile(file, key) as gallery:
         assert gallery.remove("Ann", "left_thumb") == 1
         assert gallery.remove("Zoë") == 1
-        with pytest.raises(BadInput, match="holds nothing of Zoë"):
+        with bad_input("holds nothing of Zoë"):
             gallery.remove("Zoë")
     assert [path.name for path in file.parent.iterdir()] == [file.name]
     left = file.read_bytes()
@@ -202,7 +203,7 @@ def test_what_one_could_not_erase_the_next_writer_does(tmp_path, monkeypatch, ac
         reader.execute("SELECT * FROM about").fetchall()
         with (
             GalleryFile(file) as gallery,
-            pytest.raises(BadInput, match="its bytes may still lie in the file"),
+            bad_input("its bytes may still lie in the file"),
         ):
             gallery.remove("Ann")
         assert people(file, None) == ["Bob, right index, session 1"]
@@ -213,7 +214,7 @@ def test_what_one_could_not_erase_the_next_writer_does(tmp_path, monkeypatch, ac
     else:
         report = gallery_remove(file, person="Ann")
         assert "what was removed earlier is erased now" in report.lines[0]
-        with pytest.raises(BadInput, match="holds nothing of Ann"):
+        with bad_input("holds nothing of Ann"):
             gallery_remove(file, person="Ann")
     assert gone not in file.read_bytes() and b"Ann" not in file.read_bytes()
     assert list(tmp_path.iterdir()) == [file]
@@ -248,10 +249,10 @@ def test_all_sides_of_a_key(tmp_path):
                 continue
             words = "not encrypted; leave" if own is None else "it is encrypted; give its key"
             words = words if own is None or wrong is None else "the key is not that of the gallery"
-            with pytest.raises(BadInput, match=words) as refused:
+            with bad_input(words) as refused:
                 GalleryFile(path, wrong).entries()
             assert len(str(refused.value).splitlines()) == 1
-            with pytest.raises(BadInput, match=words):
+            with bad_input(words):
                 GalleryFile(path, wrong).add([new("Eve", 3)], SETTINGS)
         assert people(path, own) == ["Ann Example, right index, session 1"]
 
@@ -267,13 +268,13 @@ def test_what_an_encrypted_file_reveals_is_no_name_and_any_changed_byte_is_notic
     assert b"Annabella" not in whole and len(set(whole[:4000])) > 200
     for place in range(100, len(whole), len(whole) // 9):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
-        with GalleryFile(path, KEY) as gallery, pytest.raises(BadInput):
+        with GalleryFile(path, KEY) as gallery, bad_input():
             gallery.people()
 
 
 def test_without_sqlcipher_one_sentence_says_so(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "sqlcipher3", None)
-    with pytest.raises(BadInput, match=r"need SQLCipher: pip install 'splitknit-match\[encrypt\]'"):
+    with bad_input(r"need SQLCipher: pip install 'splitknit-match\[encrypt\]'"):
         GalleryFile(tmp_path / "g.skg", KEY)
 
 
@@ -295,7 +296,7 @@ def test_damage_is_refused(tmp_path, change, words):
         gallery.add([new("Ann", 1), new("Bob", 2)], SETTINGS)
         with contextlib.closing(sqlite3.connect(path)) as raw, raw:
             raw.execute(change)
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             gallery.people()
         if "template" in words:  # its names are known, so that it can be taken out
             assert gallery.remove("Ann") == 1
@@ -311,7 +312,7 @@ def test_damaged_pages_are_noticed_when_it_is_opened(tmp_path):
     for page in range(1, len(data) // size):  # the place where the cells begin
         data[page * size + 5 : page * size + 7] = b"\0\1"
     path.write_bytes(data)
-    with pytest.raises(BadInput, match="is damaged") as refused:
+    with bad_input("is damaged") as refused:
         len(GalleryFile(path))
     assert str(refused.value).isprintable()
 
@@ -345,7 +346,7 @@ def test_what_is_no_gallery_is_refused(tmp_path, make, words):
     with GalleryFile(tmp_path / "sound") as gallery:
         gallery.add([new("Ann", 1), new("Bob", 2)], SETTINGS)
     make(tmp_path / "g.skg", (tmp_path / "sound").read_bytes())
-    with pytest.raises(BadInput, match=words) as refused:
+    with bad_input(words) as refused:
         GalleryFile(tmp_path / "g.skg").entries()
     assert len(str(refused.value).splitlines()) == 1
 
@@ -373,7 +374,7 @@ def test_other_versions_and_tables_are_refused(tmp_path):
             with contextlib.closing(sqlite3.connect(file)) as raw:
                 raw.executescript(change)
             for act in (gallery.entries, lambda: gallery.add([new("Bob", 2)], SETTINGS)):
-                with pytest.raises(BadInput, match=words):
+                with bad_input(words):
                     act()
 
 
@@ -384,7 +385,7 @@ def test_a_schema_that_is_no_text_is_refused(tmp_path):
     whole = file.read_bytes()
     for place in (b"CREATE TABLE about", b"about"):
         file.write_bytes(whole.replace(place, b"\xff" * len(place), 1))
-        with pytest.raises(BadInput, match="is damaged") as refused:
+        with bad_input("is damaged") as refused:
             GalleryFile(file).entries()
         assert str(refused.value).isprintable()
 
@@ -410,7 +411,7 @@ def test_one_who_waits_too_long_is_told(file, key, monkeypatch):
         monkeypatch.setattr("splitknit_match.gallery.file.WAIT_S", 0.05)
         with GalleryFile(file, key) as another:
             assert len(another) == 5  # readers do not wait
-            with pytest.raises(BadInput, match="another program is writing"):
+            with bad_input("another program is writing"):
                 another.add([new("Cid", 9)], SETTINGS)
 
     with GalleryFile(file, key) as gallery:
@@ -423,7 +424,7 @@ def test_a_file_that_is_replaced_meanwhile_is_left_alone(file, key):
     other_file.write_bytes(file.read_bytes())
     with (
         GalleryFile(file, key) as gallery,
-        pytest.raises(BadInput, match="was replaced or removed meanwhile"),
+        bad_input("was replaced or removed meanwhile"),
     ):
         gallery.add([new("Dan", 8)], SETTINGS, last=lambda: other_file.replace(file))
     assert len(people(file, key)) == 5
@@ -440,7 +441,7 @@ def test_what_lies_beside_it_leads_nowhere(file, key, tmp_path, end, make):
         make(beside, other_file)
     with GalleryFile(file, key) as gallery:
         for act in (gallery.entries, lambda: gallery.add([new("Cid", 9)], SETTINGS)):
-            with pytest.raises(BadInput, match=f"{end}' leads to another file, or is no plain"):
+            with bad_input(f"{end}' leads to another file, or is no plain"):
                 act()
     assert other_file.read_bytes() == b"not ours" * 1000
 
@@ -459,7 +460,7 @@ def test_a_journal_deletes_no_other_file(file, key, tmp_path, through):
         opened.symlink_to(file)
     with GalleryFile(opened, key) as gallery:
         for act in (gallery.entries, lambda: gallery.add([new("Cid", 9)], SETTINGS)):
-            with pytest.raises(BadInput, match="-journal' leads to another file"):
+            with bad_input("-journal' leads to another file"):
                 act()
     assert victim.read_bytes() == b"not ours"
 
@@ -528,7 +529,7 @@ def test_pages_that_no_gallery_has_are_refused(tmp_path):
     with file.open("r+b") as stream:
         stream.seek(28)
         stream.write(pages.to_bytes(4, "big"))
-    with pytest.raises(BadInput, match="too many pages"):
+    with bad_input("too many pages"):
         GalleryFile(file).entries()
 
 
@@ -550,9 +551,9 @@ def test_a_full_disk_is_no_damage(file, key, size):
         if size:
             assert len(gallery) == 5
         else:
-            with pytest.raises(BadInput, match=r"is full, or .* the gallery cannot be read"):
+            with bad_input(r"is full, or .* the gallery cannot be read"):
                 gallery.entries()
-        with pytest.raises(BadInput, match=r"is full, or .* the gallery was not changed"):
+        with bad_input(r"is full, or .* the gallery was not changed"):
             gallery.add([new(f"P{k}", k) for k in range(40)], SETTINGS)
     assert len(people(file, key)) == 5
 
@@ -647,7 +648,7 @@ def test_read_only_galleries_are_read(file, key):
         pytest.skip("root may write everything")
     file.chmod(0o400)
     assert len(people(file, key)) == 5
-    with GalleryFile(file, key) as gallery, pytest.raises(BadInput, match="may not be written"):
+    with GalleryFile(file, key) as gallery, bad_input("may not be written"):
         gallery.add([new("Cid", 9)], SETTINGS)
 
 
@@ -662,7 +663,7 @@ def test_read_only_galleries_are_read(file, key):
     ],
 )
 def test_names_that_cannot_be(change, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         replace(new("Ann").entry, **change)
 
 

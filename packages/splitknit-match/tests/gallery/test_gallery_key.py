@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_match.gallery.file import Key, key_of
 
 
@@ -30,7 +30,7 @@ def test_kinds_of_keys(tmp_path, monkeypatch):
 )
 def test_what_is_no_key(tmp_path, content):
     (tmp_path / "key").write_bytes(content)
-    with pytest.raises(BadInput, match="holds no key"):
+    with bad_input("holds no key"):
         key_of(tmp_path / "key")
 
 
@@ -42,14 +42,14 @@ def test_keys_are_not_shown():
 def test_a_key_comes_from_a_pipe(tmp_path):
     """``--key-file <(...)``; one that nobody writes into holds nobody."""
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(BadInput, match="holds no key"):
+    with bad_input("holds no key"):
         key_of(tmp_path / "pipe")
     ours, theirs = os.pipe()
     os.write(theirs, b"a phrase for tests")
     os.close(theirs)
     assert key_of(Path(f"/dev/fd/{ours}")) == Key("a phrase for tests")
     os.close(ours)
-    with pytest.raises(BadInput, match="holds no key"):
+    with bad_input("holds no key"):
         key_of(Path("/dev/zero"))
-    with pytest.raises(BadInput, match="cannot be read"):
+    with bad_input("cannot be read"):
         key_of(Path("/none"))

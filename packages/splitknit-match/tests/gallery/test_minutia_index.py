@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import splitknit_match
-from splitknit import BadInput
+from refusals import bad_input
 from splitknit_match.gallery.file import Entry, NewCapture
 from splitknit_match.gallery.identify import TEMPLATES_HASH
 from splitknit_match.gallery.minutia_index import MinutiaIndex, kept_minutiae
@@ -138,7 +138,7 @@ def test_a_prepared_template_is_compared_as_the_template(gallery):
     ready = splitknit_match.prepare(a)
     prepared, plain = splitknit_match.match(ready, b), splitknit_match.match(a, b)
     assert (prepared.similarity, prepared.answer) == (plain.similarity, plain.answer)
-    with pytest.raises(BadInput, match="must be bytes"):
+    with bad_input("must be bytes"):
         splitknit_match.prepare("a.skt")
 
 

@@ -8,7 +8,7 @@ import struct
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.io.prints import PrintFile
 from splitknit_match.records.finger_image import decode_finger_images, encode_finger_image
 
@@ -51,7 +51,7 @@ def test_the_layouts_of_others_are_read():
     """Two images of 2005; one of 2011 is refused."""
     two = TYPED[:8] + (len(TYPED) + 134).to_bytes(6, "big") + TYPED[14:] + TYPED[32:]
     assert [image.finger for image in decode_finger_images(two)] == ["right_index"] * 2
-    with pytest.raises(BadInput, match="of 2005"):
+    with bad_input("of 2005"):
         decode_finger_images(TYPED[:5] + b"2" + TYPED[6:])
 
 
@@ -66,11 +66,10 @@ def test_pixels_per_cm_are_read():
 def test_cuts_are_refused():
     sample = TYPED
     for length in range(len(sample)):
-        with pytest.raises(BadInput) as refused:
+        with bad_input() as refused:
             decode_finger_images(sample[:length], "x.fir")
-        assert "\n" not in str(refused.value)
         assert "x.fir" in str(refused.value)
-    with pytest.raises(BadInput, match="bytes"):
+    with bad_input("bytes"):
         decode_finger_images(sample + b"\0", "x.fir")
 
 
@@ -92,7 +91,7 @@ def test_cuts_are_refused():
 )
 def test_what_does_not_fit_is_named(place, value, words):
     data = TYPED[:place] + value + TYPED[place + len(value) :]
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         decode_finger_images(data, "x.fir")
 
 
@@ -108,7 +107,7 @@ def test_a_small_file_costs_little():
         head = struct.pack(">IBBBBBHHB", 14 + len(bomb), 2, 1, 1, 254, 0, columns, rows, 0)
         start = TYPED[:8] + (46 + len(bomb)).to_bytes(6, "big") + TYPED[14:29] + b"\5\0\0"
         tracemalloc.start()
-        with pytest.raises(BadInput, match="pixels"):
+        with bad_input("pixels"):
             decode_finger_images(start + head + bomb, "x.fir")
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
@@ -125,5 +124,5 @@ def test_a_small_file_costs_little():
     ],
 )
 def test_what_cannot_be_written_is_refused(wrong, compression, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         encode_finger_image(wrong, compression)

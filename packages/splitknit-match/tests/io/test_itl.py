@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmr_samples import transaction, type_14
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.io.prints import encode_print_png
 from splitknit_match.records.itl import decode_transaction
 from splitknit_match.records.jpeg2000_image import encode_jpeg2000
@@ -92,10 +92,9 @@ def test_pixels_per_cm_are_read():
     ],
 )
 def test_fields_that_do_not_fit_are_named(changes, words):
-    with pytest.raises(BadInput, match=words) as refused:
+    with bad_input(words) as refused:
         decode_transaction(transaction(type_14(SMALL, **changes)), "t.an2")
     assert "t.an2" in str(refused.value)
-    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +113,7 @@ def test_fields_that_do_not_fit_are_named(changes, words):
     ],
 )
 def test_broken_frames_are_refused(data, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         decode_transaction(data)
 
 
@@ -122,13 +121,13 @@ def test_every_cut_is_refused():
     data = transaction(type_14(SMALL), type_14(SMALL))
     whole = {len(transaction(type_14(SMALL)))}  # a sound transaction of one print
     for length in set(range(len(data))) - whole:
-        with pytest.raises(BadInput):
+        with bad_input():
             decode_transaction(data[:length])
 
 
 def test_many_records_take_no_time():
     began = time.process_time()
-    with pytest.raises(BadInput, match="more than 1000 records"):
+    with bad_input("more than 1000 records"):
         decode_transaction(transaction(*[TYPE_2] * 100_000))
     assert time.process_time() - began < 2
 
@@ -170,5 +169,5 @@ def test_binary_records_are_read():
     ],
 )
 def test_broken_binary_records_are_refused(data, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         decode_transaction(data, "x.an2")

@@ -9,7 +9,7 @@ import pytest
 from splitknit_match.prints.minutiae import extract
 from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.records.fmr_bytes import ANSI_2004
-from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record
+from splitknit_match.records.minutiae_files import encode_minutiae_record
 from splitknit_match.records.minutiae_record import FingerView
 
 pytest.importorskip("nbis")
@@ -43,22 +43,3 @@ def test_an_ending_points_along_its_ridge():
     assert abs(y - 150) <= 4
     assert data[32] == 192
     assert encode_minutiae_record(view, ANSI_2004)[34] == 135
-
-
-def test_minutiae_come_back_as_they_were():
-    random = np.random.default_rng(1)
-    count, steps = 60, 2 * np.pi / 32  # mindtct's directions
-    minutiae = Minutiae(
-        random.integers(0, 350, count).astype(np.int32),
-        random.integers(0, 500, count).astype(np.int32),
-        random.integers(0, 32, count) * steps,
-        random.integers(0, 3, count).astype(np.uint8),
-        random.integers(0, 101, count).astype(np.uint8),
-        (500, 350),
-    )
-    view = decode_minutiae_record(encode_minutiae_record(view_of(minutiae)))[0]
-    again = Minutiae(view.x_px, view.y_px, view.direction_rad, view.type, view.quality, view.size)
-    for name in ("x_px", "y_px", "type", "quality"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(minutiae, name))
-    np.testing.assert_allclose(again.direction_rad, minutiae.direction_rad, atol=1e-12)
-    assert again.size == minutiae.size

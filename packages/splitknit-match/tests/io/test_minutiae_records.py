@@ -18,6 +18,7 @@ from fmr_samples import (
     three_minutiae,
     views,
 )
+from refusals import bad_input
 from splitknit.errors import BadInput
 from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005, standard_of
 from splitknit_match.records.minutiae_files import (
@@ -123,7 +124,7 @@ def test_long_records_have_a_length_of_six_bytes():
     body = ANSI_BYTES[10:26] + ANSI_BYTES[26:-2] + (65535).to_bytes(2, "big") + bytes(65535)
     data = ANSI_BYTES[:8] + b"\0\0" + (14 + len(body)).to_bytes(4, "big") + body
     assert decode_minutiae_record(data)[0].count == 3
-    with pytest.raises(BadInput, match="truncated"):
+    with bad_input("truncated"):
         decode_minutiae_record(data[:5000])
 
 
@@ -131,7 +132,7 @@ def test_files_are_known_by_what_they_hold(tmp_path):
     for data in SAMPLES.values():
         (tmp_path / "minutiae.any").write_bytes(data)
         assert read_minutiae_record(tmp_path / "minutiae.any")[0].count >= 2
-    with pytest.raises(BadInput, match="does not exist"):
+    with bad_input("does not exist"):
         read_minutiae_record(tmp_path / "none.iso")
 
 
@@ -139,9 +140,7 @@ def test_files_are_known_by_what_they_hold(tmp_path):
 def test_cuts_and_flipped_bits_are_refused_or_read(standard):
     sample = SAMPLES[standard]
     for length in range(1, len(sample)):
-        with pytest.raises(
-            BadInput, match=r"truncated|but a record of minutiae is expected"
-        ) as refused:
+        with bad_input(r"truncated|but a record of minutiae is expected") as refused:
             decode_minutiae_record(sample[:length], "cut.iso")
         assert "cut.iso" in str(refused.value)
     for place in range(len(sample)):
@@ -193,10 +192,9 @@ def test_cuts_and_flipped_bits_are_refused_or_read(standard):
     ],
 )
 def test_what_the_standards_do_not_allow_is_named(data, words):
-    with pytest.raises(BadInput, match=words) as refused:
+    with bad_input(words) as refused:
         decode_minutiae_record(data, "x.iso")
     assert "x.iso" in str(refused.value)
-    assert "\n" not in str(refused.value)
 
 
 def test_counts_that_lie_cost_nothing():
@@ -210,7 +208,7 @@ def test_counts_that_lie_cost_nothing():
     tracemalloc.start()
     began = time.process_time()
     for data in claims:
-        with pytest.raises(BadInput):
+        with bad_input():
             decode_minutiae_record(data)
     assert time.process_time() - began < 2
     assert tracemalloc.get_traced_memory()[1] < 5_000_000
@@ -231,7 +229,7 @@ def test_what_cannot_be_said_is_not_written():
         (three_minutiae(resolution_ppcm=(98, 98)), "at least 99"),
         (three_minutiae(impression="other"), "'other' has no code"),
     ]:
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             encode_minutiae_record(wrong)
     assert decode_minutiae_record(encode_minutiae_record(many))[0].count == 255
     np.testing.assert_array_equal(view.best(2).quality, [50, 90])

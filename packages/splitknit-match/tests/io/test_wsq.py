@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from refusals import bad_input
 from splitknit.errors import BadInput
 from splitknit_match.records import wsq_image
 from splitknit_match.records.wsq_image import _wsq_header, decode_wsq, encode_wsq
@@ -70,7 +71,7 @@ def test_small_prints_are_sound(shape):
     ],
 )
 def test_other_images_are_refused(image, ppi, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         encode_wsq(image, ppi)
 
 
@@ -96,7 +97,7 @@ def test_what_is_damaged_is_named(sound):
         (sound[:frame] + sound[block:], "is not whole"),
         (changed(sound, frame + 6, 0, 100), "cannot be decoded|truncated"),
     ]:
-        with pytest.raises(BadInput, match=words) as refused:
+        with bad_input(words) as refused:
             image = decode_wsq(data, "x.wsq").image
             assert image.shape == (100, 160)  # a changed size may give a picture, of that size
             raise BadInput("x.wsq cannot be decoded")
@@ -128,9 +129,9 @@ def test_a_child_that_ends_hangs_or_talks_is_refused(sound, monkeypatch):
     for child in ("import os; os.abort()", "import time; time.sleep(60)", "print('hello')"):
         monkeypatch.setattr(wsq_image, "_CHILD", child)
         monkeypatch.setattr(wsq_image, "TIMEOUT_S", 0.5)
-        with pytest.raises(BadInput, match="cannot be decoded"):
+        with bad_input("cannot be decoded"):
             decode_wsq(sound)
-        with pytest.raises(BadInput, match=r"cannot be compressed|not a WSQ file"):
+        with bad_input(r"cannot be compressed|not a WSQ file"):
             encode_wsq(ridges())
 
 
@@ -143,7 +144,7 @@ def test_the_child_inherits_no_key(sound, monkeypatch):
 
 def test_without_the_package_the_remedy_is_named(sound, monkeypatch):
     monkeypatch.setattr(wsq_image.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(BadInput, match=r"pip install 'splitknit-match\[records\]'"):
+    with bad_input(r"pip install 'splitknit-match\[records\]'"):
         encode_wsq(ridges())
 
     def refuse(*_, **__):
@@ -151,7 +152,7 @@ def test_without_the_package_the_remedy_is_named(sound, monkeypatch):
 
     monkeypatch.undo()
     monkeypatch.setattr(subprocess, "run", refuse)
-    with pytest.raises(BadInput, match="could not be started"):
+    with bad_input("could not be started"):
         decode_wsq(sound)
 
 
@@ -174,7 +175,7 @@ def test_the_codec_may_take_no_more_memory_and_time_than_an_image_needs(
         return ended[-1]
 
     monkeypatch.setattr(subprocess, "run", spy)
-    with pytest.raises(BadInput, match="cannot be decoded"):
+    with bad_input("cannot be decoded"):
         decode_wsq(sound)
     assert words in ended[0].stderr and ended[0].returncode in (signals or (1,))
 

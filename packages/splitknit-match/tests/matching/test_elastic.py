@@ -67,8 +67,6 @@ def test_affine_fit_follows_a_stretched_skin():
     fitted = better_affine(patches, compare_patches(patches, a, fitted), fitted)
     corners = np.array([[30, 30, 1], [170, 30, 1], [30, 190, 1], [170, 190, 1]], float)
     np.testing.assert_allclose(corners @ fitted.T, corners @ true.T, atol=0.5)
-    few = (getattr(agreement, name)[:3] for name in ("used", "correlation", "shift", "weight"))
-    assert better_affine(patches, Agreement(*few), IDENTITY) is IDENTITY
 
 
 def test_a_rigid_map_takes_middle_to_middle_and_turns():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.imaging.geometry import smoothed
 from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS, preset_settings
@@ -29,9 +29,9 @@ def test_kumar_is_ea_smoothed(twin_capture):
 
 
 def test_only_the_thesis_s_cases_are_smoothed_by_up_to_1_mm():
-    with pytest.raises(BadInput, match="method=thesis"):
+    with bad_input("method=thesis"):
         override(preset_settings("metric"), {"smooth.sigma_mm": 0.1})
-    with pytest.raises(BadInput, match="must be from 0 to 1"):
+    with bad_input("must be from 0 to 1"):
         override(preset_settings("ea"), {"smooth.sigma_mm": -0.1})
 
 

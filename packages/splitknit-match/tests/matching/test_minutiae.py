@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, nfiq2
 from splitknit_match.prints.minutiae_record import (
@@ -217,7 +217,7 @@ def test_nfiq2_is_lower_for_a_spoilt_print(nbis, prints):
     ],
 )
 def test_bad_prints_are_refused(image, ppi, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         extract(image, ppi)
 
 
@@ -233,7 +233,7 @@ def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch):
 
     monkeypatch.setattr(builtins, "__import__", refusing)
     extractor.cache_clear()
-    with pytest.raises(BadInput, match=r"x86-64 Linux.*method ridge\.$"):
+    with bad_input(r"x86-64 Linux.*method ridge\.$"):
         extract(np.zeros((90, 90), np.uint8))
     extractor.cache_clear()
 
@@ -258,15 +258,15 @@ def test_changed_or_cut_bytes_are_refused(place, change, cut):
     data[where] ^= change
     if 6 <= where < 10:
         return  # the print's size: any is possible
-    with pytest.raises(BadInput, match="extract them from the print again"):
+    with bad_input("extract them from the print again"):
         unpack_minutiae(bytes(data[: len(data) - cut]))
 
 
 def test_contradictory_minutiae_are_refused():
     three = random_minutiae(3)
-    with pytest.raises(BadInput, match="one length"):
+    with bad_input("one length"):
         replace(three, x_px=three.x_px[:2])
-    with pytest.raises(BadInput, match="inside their print"):
+    with bad_input("inside their print"):
         replace(three, x_px=three.x_px + 400)
-    with pytest.raises(BadInput, match="larger than"):
+    with bad_input("larger than"):
         no_minutiae((10_000, 10))

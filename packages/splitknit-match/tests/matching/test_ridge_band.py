@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.imaging.geometry import rotation_about
 from splitknit_match.matching.ridge_band import band_places, print_band, ridge_band
 
@@ -17,19 +17,6 @@ def stripes(turn: float, period_mm: float = 0.45, side: int = 300) -> np.ndarray
     rows, columns = np.mgrid[0:side, 0:side]
     across = columns * np.cos(turn) - rows * np.sin(turn)
     return (0.03 * np.sin(2 * np.pi * PITCH / period_mm * across)).astype(np.float32)
-
-
-@pytest.mark.parametrize("turn", [0.0, 0.5, 1.2, -0.9])
-def test_ridges_of_any_direction_get_the_same_contrast(turn):
-    gain = np.linspace(0.5, 2.0, 300, dtype=np.float32)  # contrast that changes over the finger
-    band = ridge_band(stripes(turn) * gain, np.ones((300, 300), np.bool_), PITCH)
-    assert band.value.shape == (150, 150)
-    assert band.pitch_mm == 0.1
-    inner = slice(30, -30), slice(30, -30)
-    assert band.valid[inner].all()
-    assert band.value[inner].std() == pytest.approx(1.0, abs=0.1)
-    left, right = band.value[30:-30, 30:60].std(), band.value[30:-30, 90:120].std()
-    assert left == pytest.approx(right, rel=0.1)
 
 
 def test_wide_shapes_are_taken_out():
@@ -61,15 +48,6 @@ def test_ridges_even_on_a_cylinder_are_even_in_the_band():
     np.testing.assert_allclose(np.diff(places)[8:-8], 5.0, atol=0.06)
 
 
-def test_skin_without_ridges_is_left_out():
-    rng = np.random.default_rng(0)
-    relief = stripes(0.3)
-    relief[:, 150:] = 0.0005 * rng.normal(size=(300, 150))
-    band = ridge_band(relief, np.ones((300, 300), np.bool_), PITCH)
-    assert band.valid[20:-20, 10:65].all()
-    assert not band.valid[20:-20, 90:].any()
-
-
 def test_prints_are_mirrored_and_inverted():
     ridge = stripes(0.5)
     # ink: ridges dark, mirrored
@@ -84,11 +62,11 @@ def test_impossible_pitches_and_sizes_are_refused():
     mask = np.ones((60, 60), bool)
     relief = np.zeros((60, 60), np.float32)
     for pitch_mm, words in ((1e-300, "pitch_mm"), (1e9, "pitch_mm"), (9.0, "more than a finger's")):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             ridge_band(relief, mask, pitch_mm)
-    with pytest.raises(BadInput, match="ridge_mm holds heights"):
+    with bad_input("ridge_mm holds heights"):
         ridge_band(relief + np.float32(1e30), mask, 0.1)
-    with pytest.raises(BadInput, match="more than a finger's"):  # 2.4 GB from a small archive
+    with bad_input("more than a finger's"):  # 2.4 GB from a small archive
         ridge_band(relief, mask, 0.05, relief, np.diag([0.01, 0.01, 1.0]), (10_000, 10_000))
 
 
@@ -240,7 +218,7 @@ def test_bad_surfaces_are_refused_by_name():
         ((relief, mask, 0.1, None, np.eye(3), (2001, 2001)), r"is 200 mm long"),
     ]
     for arguments, words in cases:
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             ridge_band(*arguments)
     assert not ridge_band(relief, mask, 0.1, relief + 500).valid.any()
     assert ridge_band(relief, mask, 0.1, None, np.eye(3), (5000, 1)).valid.shape == (5000, 1)
@@ -274,10 +252,10 @@ def test_a_print_is_used_inside_only():
 
 @pytest.mark.parametrize("image", [np.zeros((0, 5), np.uint8), np.zeros((5, 5, 3), np.uint8)])
 def test_bad_prints_are_refused(image):
-    with pytest.raises(BadInput, match=r"a print must be \(H, W\) uint8, not \("):
+    with bad_input(r"a print must be \(H, W\) uint8, not \("):
         print_band(image)
     for ppi in (0.0, np.inf):
-        with pytest.raises(BadInput, match=f"ppi must be a positive number, but it is {ppi}"):
+        with bad_input(f"ppi must be a positive number, but it is {ppi}"):
             print_band(np.zeros((5, 5), np.uint8), ppi)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
 from splitknit.io.prints import PrintFile
@@ -233,44 +234,6 @@ def test_the_resolution_of_a_folder_of_print_may_be_doubted(
     assert side.findings == (note.of_file(tmp_path),)
 
 
-def test_folders_hold_a_surface_or_a_capture(monkeypatch, tmp_path):
-    import splitknit
-    from splitknit.io import capture
-
-    read: list[Any] = []
-    monkeypatch.setattr(inputs, "surface_template", lambda surface: failed_template())
-    monkeypatch.setattr(inputs, "read_surface", lambda path: read.append(path) or "surface")
-    monkeypatch.setattr(inputs, "surface_of", lambda result: f"surface of {result}")
-    monkeypatch.setattr(capture, "photographs_hint", lambda folder: f"in {folder.name}")
-    stages: list[Any] = []
-
-    def reconstruct(source, preset, *, progress):
-        progress("light", 0.0)
-        progress("light", 1.0)
-        return f"{source} by {preset}"
-
-    monkeypatch.setattr(splitknit, "read_capture", lambda folder: "capture")
-    monkeypatch.setattr(splitknit, "reconstruct", reconstruct)
-    with pytest.raises(BadInput) as caught:
-        read_side(tmp_path, "snk")
-    assert str(caught.value) == (
-        f"'{tmp_path}' is neither a result (height.npz), a capture (capture.json) nor a print"
-        f" (print.png); name one in {tmp_path.name}."
-    )
-    (tmp_path / "capture.json").write_bytes(b"")
-    side = read_side(tmp_path, "snk", lambda *stage: stages.append(stage))
-    assert (side.path, side.kind) == (tmp_path, "capture")
-    assert side.surface == "surface of capture by snk"
-    assert stages[1:] == [("light", 0.1), ("light", pytest.approx(0.8))]
-    (tmp_path / "height.npz").write_bytes(b"")
-    side = read_side(tmp_path, "snk")
-    assert (side.path, side.kind, side.surface) == (tmp_path, "result", "surface")
-    for path in (tmp_path / "height.npz", tmp_path / "B.NPZ"):
-        path.write_bytes(b"")
-        side = read_side(path, "snk")
-        assert (side.path, side.kind, read[-1]) == (path, "result", path)
-
-
 def test_results_in_memory_and_records_are_sides(monkeypatch, tmp_path):
     monkeypatch.setattr(inputs, "surface_template", lambda surface: failed_template())
     monkeypatch.setattr(inputs, "surface_of", lambda result: "surface")
@@ -296,8 +259,8 @@ def test_results_in_memory_and_records_are_sides(monkeypatch, tmp_path):
         raise BadInput("it is damaged.")
 
     monkeypatch.setattr(from_file, "minutiae_of", refuse)
-    with pytest.raises(BadInput, match=r"a\.fmr.*it is damaged"):
+    with bad_input(r"a\.fmr.*it is damaged"):
         read_side(path, "snk")
     monkeypatch.setattr(inputs, "surface_template", refuse)
-    with pytest.raises(BadInput, match=r"reconstruction.*it is damaged"):
+    with bad_input(r"reconstruction.*it is damaged"):
         read_side(result, "snk")

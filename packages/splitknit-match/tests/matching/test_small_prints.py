@@ -15,7 +15,7 @@ import pytest
 from splitknit.cli.main import main
 from splitknit.io.prints import read_print_png, write_print_png
 from splitknit_match import match
-from splitknit_match.matching.fusion import SMALL_MM2, fused_match
+from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import fmr_basis, rate, scores_of, similarity_at
 from splitknit_match.matching.score import read_own_rates
@@ -71,16 +71,6 @@ def test_a_small_print_matches_in_any_pose(templates):
 def test_a_template_keeps_that_its_print_had_no_minutiae(templates):
     again = unpack(pack(cut(templates[0], 90, 70, 60)))
     assert again.minutiae.count == 0
-
-
-def test_small_prints_have_scores_of_their_own():
-    assert scores_of("fusion", (300, SMALL_MM2 + 1), 12.0) == "fusion"
-    assert scores_of("fusion", (300, SMALL_MM2 - 1), 12.0) == "windows"
-    assert scores_of("fusion", (300, 300), None) == "windows"
-    assert rate(0.9, scores_of("ridge", (300, 30), None), 30.0).answer == "undecided"
-    assert rate(0.9, "ridge", 100.0).answer == "match"
-    assert fmr_basis("fusion").smallest < 1e-4  # the usual decision
-    assert similarity_at(1e-4, "fusion") >= similarity_at(1e-3, "fusion")
 
 
 def test_fingerphotos_are_rated_alone_and_with_prints():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_match.matching.thesis import (
     ThesisSettings,
     finger_images,
@@ -44,5 +44,5 @@ def test_a_finger_equals_itself(impressions):
 
 def test_two_scales_are_refused(impressions):
     finger = impressions[0].images()
-    with pytest.raises(BadInput, match="px/mm"):
+    with bad_input("px/mm"):
         thesis_match(finger, replace(finger, px_per_mm=75.7))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_match.matching.thesis import NORMALS, FingerImages
 from splitknit_match.matching.thesis_code import NEIGHBOURS, code_match, code_side, pattern_labels
 
@@ -62,5 +62,5 @@ def test_empty_columns_beside_a_finger_change_little():
 
 
 def test_sides_of_two_scales_are_refused():
-    with pytest.raises(BadInput, match="need one scale"):
+    with bad_input("need one scale"):
         code_match(code_side(finger(1)), code_side(finger(1, px_per_mm=30)))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rolled_scene as scene
+from refusals import bad_input
 from splitknit.capture import Capture
-from splitknit.errors import BadInput
 from splitknit.finger.locate import FingerSettings
 from splitknit.skin.images import MetricSettings
 from splitknit_match.prints.rolled import _coverage_deg
@@ -131,5 +131,5 @@ def test_captures_without_white_light_or_mirrors_are_refused():
         ((), "has no mirrors beside the finger"),
     ):
         capture = Capture(replace(rig, mirrors=mirrors), {}, material="opaque")
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             find_mirror_views(capture, FingerSettings())

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rolled_scene as scene
+from refusals import bad_input
 from rolled_scene import body_between_mirrors
-from splitknit.errors import BadInput
 from splitknit.mirrors.views import Views
 from splitknit_match.rolled.finger import (
     ROLL_OF_SHEAR,
@@ -93,7 +93,7 @@ def test_a_view_that_ends_beyond_the_rim_of_the_pad_is_refused(masks):
     left, mirror = masks["left"].copy(), MIRRORS["left"]
     left[:, : round((scene.SIZE[1] - 1) / 2 - 27.5 * scene.PX)] = False
     near = replace(mirror, corners_mm=tuple((max(x, -27.5), y, z) for x, y, z in mirror.corners_mm))
-    with pytest.raises(BadInput, match="cut off at the mirror"):
+    with bad_input("cut off at the mirror"):
         body_between_mirrors(views(masks["front"], left=left), replace(RIG, mirrors=(near,)))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -13,8 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from fmr_samples import three_minutiae
+from refusals import bad_input
 from spiral_prints import PLACES, spiral_print
-from splitknit.errors import BadInput
 from splitknit.io.prints import PrintFile
 from splitknit_match import enroll, identify, match
 from splitknit_match.matching.inputs import held, read_side
@@ -47,7 +46,6 @@ def assert_drawn_minutiae(image: NDArray[np.uint8]) -> None:
     assert (apart.min(axis=1) >= 5).sum() <= 3
 
 
-Data = Callable[[], bytes]
 EXIF = Image.Exif()
 EXIF[282] = EXIF[283] = 600.0
 EXIF[296] = 2
@@ -99,9 +97,7 @@ def test_every_format_and_resolution_gives_the_same_print(tmp_path, scale, data)
 def test_a_print_without_resolution_is_refused_with_an_estimate(tmp_path, scale, low, high):
     file = tmp_path / "scan.png"
     file.write_bytes(saved(spiral_print(scale=scale), "PNG", None))
-    with pytest.raises(
-        BadInput, match=r"does not state its resolution; .* fits (\d+) to (\d+) pixels"
-    ) as refused:
+    with bad_input(r"does not state its resolution; .* fits (\d+) to (\d+) pixels") as refused:
         read_one_finger(file)
     message = str(refused.value)
     assert "\n" not in message
@@ -213,15 +209,6 @@ def test_ridges_that_end_abruptly_are_of_unknown_polarity(tmp_path):
         assert codes == ["unknown-polarity"]
 
 
-def test_a_resolution_that_the_ridges_contradict_is_reported(tmp_path):
-    file = tmp_path / "scan.png"
-    for ppi in (250, 1000):
-        file.write_bytes(saved(spiral_print(), "PNG", ppi))
-        findings = read_one_finger(file).findings
-        (doubt,) = (finding for finding in findings if finding.severity == "doubt")
-        assert f"at {ppi} ppi its ridges are" in str(doubt)
-
-
 def test_ridges_that_lie_close_at_the_stated_resolution_get_a_note():
     usual = resolution_doubt(PrintFile(spiral_print(), 560.0, {}))
     close = resolution_doubt(PrintFile(spiral_print(), 640.0, {}))
@@ -241,9 +228,9 @@ def test_a_resolution_that_the_ridges_contradict_gives_no_answer(ppi, tmp_path):
     for result in (match(file, sound), match(sound, file), identify(gallery, file)):
         assert result.answer == "undecided"
         assert result.undecided.startswith(reason)
-    with pytest.raises(BadInput, match=reason):
+    with bad_input(reason):
         enroll(gallery, file, person="Bea", finger="left_index")
-    with pytest.raises(BadInput, match=reason):
+    with bad_input(reason):
         match(file, sound, template=tmp_path / "scan.skt")
     assert not (tmp_path / "scan.skt").exists()
     array = match(spiral_print(), sound, resolution_ppi=ppi)
@@ -273,17 +260,15 @@ def test_a_resolution_that_only_the_other_print_contradicts_gives_no_answer(tmp_
 def test_resolutions_that_no_print_has_are_refused(tmp_path):
     file = tmp_path / "scan.jpg"
     file.write_bytes(saved(spiral_print(), "JPEG", 72))
-    with pytest.raises(
-        BadInput, match=r"states 72 ppi, too few for ridges; .* `resolution_ppi` 500"
-    ):
+    with bad_input(r"states 72 ppi, too few for ridges; .* `resolution_ppi` 500"):
         read_one_finger(file)
     file.write_bytes(saved(np.full((200, 200), 255, np.uint8), "PNG", None))
-    with pytest.raises(BadInput, match=r"no ridges to measure it by: .* `resolution_ppi` 500"):
+    with bad_input(r"no ridges to measure it by: .* `resolution_ppi` 500"):
         read_one_finger(file)
     file.write_bytes(saved(spiral_print(), "PNG", 9000))
-    with pytest.raises(BadInput, match="more than 5080"):
+    with bad_input("more than 5080"):
         read_one_finger(file)
-    with pytest.raises(BadInput, match="200 to 5080"):
+    with bad_input("200 to 5080"):
         read_one_finger(file, 100)
 
 
@@ -320,9 +305,8 @@ def test_a_touch_of_a_small_sensor_shows_its_resolution():
 def test_files_that_are_no_print_are_refused_in_one_sentence(tmp_path, data, words):
     file = tmp_path / "scan.png"
     file.write_bytes(data())
-    with pytest.raises(BadInput, match=words) as refused:
+    with bad_input(words):
         read_one_finger(file)
-    assert "\n" not in str(refused.value)
 
 
 def test_minutiae_of_records_lie_on_the_grid_of_500_ppi():

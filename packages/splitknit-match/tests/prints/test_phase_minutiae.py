@@ -87,11 +87,6 @@ def test_poor_waves_and_the_outline_give_no_minutiae(monkeypatch):
             assert len(by_phase(image, enhanced).type) == 0
 
 
-def test_minutiae_lie_on_even_and_odd_pixels(minutiae):
-    odd = np.concatenate([minutiae.x_px, minutiae.y_px]) % 2
-    assert 0.3 < odd.mean() < 0.7
-
-
 def test_quality_falls_beside_an_opposite_minutia(minutiae):
     x, y, direction_rad = minutiae.x_px, minutiae.y_px, minutiae.direction_rad
     apart_mm = np.hypot(x[:, None] - x, y[:, None] - y) * STEP_MM

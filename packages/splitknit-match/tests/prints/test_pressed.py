@@ -53,11 +53,6 @@ def test_a_plain_image_has_no_ridges(level):
     assert pressed_ridges(np.full((70, 90), level, np.uint8)).image.min() > 245
 
 
-def test_enhancement_gives_the_same_bytes_each_time():
-    image = np.random.default_rng(3).integers(0, 256, (200, 170)).astype(np.uint8)
-    assert np.array_equal(pressed_ridges(image).image, pressed_ridges(image).image)
-
-
 def test_the_frame_of_a_sensor_is_no_ridge():
     rows, columns = np.mgrid[0:300, 0:260]
     window = np.abs(columns - 130) < 60 + 0.2 * rows
