@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from enrolled import refusal_of
+from refusals import bad_input
 from small_capture import edit
 from splitknit.capture import Band, Capture
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Camera, Led, Rig
@@ -119,7 +119,7 @@ def test_colours_that_cannot_be_separated_are_refused(  # noqa: PLR0917
 
 
 def test_metric_refuses_coloured_leds(twin):
-    with pytest.raises(BadInput, match="blurs the light of each coloured LED differently"):
+    with bad_input("blurs the light of each coloured LED differently"):
         reconstruct(twin)
 
 

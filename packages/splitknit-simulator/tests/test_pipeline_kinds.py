@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import kinds
+from refusals import bad_input
 from small_capture import copy_of, edit
 from splitknit.accuracy import compare
 from splitknit.capture import Capture
-from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image
 from splitknit.io.npz import read_npz
@@ -236,9 +236,7 @@ def tip_of(mask: np.ndarray, quarter_turns: int) -> tuple[float, float]:
 def test_a_mask_that_is_a_narrow_strip_is_refused(capture):
     mask = np.zeros(capture.shape, dtype=bool)
     mask[200:300, 240:256] = True
-    with pytest.raises(
-        BadInput, match=r"given mask is too small: it is nowhere wider than 1\.4 mm"
-    ):
+    with bad_input(r"given mask is too small: it is nowhere wider than 1\.4 mm"):
         reconstruct(replace(capture, mask=mask), "ea")
 
 
@@ -248,7 +246,7 @@ def test_a_mask_that_is_a_narrow_strip_is_refused(capture):
 )
 def test_an_impossible_scale_is_refused(material, px_per_mm, capture):
     rig = replace(capture.rig, camera=replace(capture.rig.camera, px_per_mm=px_per_mm))
-    with pytest.raises(BadInput, match=f"{px_per_mm:g} px/mm"):
+    with bad_input(f"{px_per_mm:g} px/mm"):
         quick(replace(capture, rig=rig, material=material), "ea")
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from enrolled import facts_of, refusal_of
+from refusals import bad_input
 from splitknit.accuracy import compare
 from splitknit.capture import Capture
-from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.pipeline import reconstruct
 from splitknit_simulator.finger.finger import FingerPose
@@ -72,11 +72,11 @@ def test_captures_and_presets_without_a_shape_from_mirrors_are_refused(
     mask = np.zeros(capture.shape, dtype=np.bool_)
     # a given mask: two views in the picture would be two fingers else
     mask[200:400, 250:400] = True
-    with pytest.raises(BadInput, match="the rig has no mirrors"):
+    with bad_input("the rig has no mirrors"):
         reconstruct(replace(bare, mask=mask), "snk", {"shape.source": "mirror"})
-    with pytest.raises(BadInput, match="keeps the visible surface whole"):
+    with bad_input("keeps the visible surface whole"):
         reconstruct(capture, "pr", {"shape.source": "mirror", "direct.method": "none"})
-    with pytest.raises(BadInput, match="'nir', 'white', 'mirror'"):
+    with bad_input("'nir', 'white', 'mirror'"):
         reconstruct(capture, "metric", {"shape.source": "sonar"})
     write_capture(replace(bare, mask=mask), tmp_path / "bare")
     options = "--out", tmp_path / "out", "--shape", "mirror"

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit import Band, Capture, read_rig, write_rig
 from splitknit.cli.exits import ANSWERS
 from splitknit.errors import BadInput
@@ -133,14 +134,14 @@ def test_refused(rig_file, tmp_path):
     out = tmp_path / "out"
     no_phantom = {"card": "a", "ball": "b", "finger": ("c", "d")}
     for folders_named in ({}, {**no_phantom, "phantom": "p", "finger": ("c",)}, no_phantom):
-        with pytest.raises(BadInput, match="name the photographs, `card`, `phantom`, `ball` and"):
+        with bad_input("name the photographs, `card`, `phantom`, `ball` and"):
             check_rig(rig_file, out=out, **folders_named)
-    with pytest.raises(BadInput, match="`card` does not go with `device`"):
+    with bad_input("`card` does not go with `device`"):
         check_rig(rig_file, out=out, device="twin", card="a")
-    with pytest.raises(BadInput, match=r"a.*capture"):
+    with bad_input(r"a.*capture"):
         absent = {**no_phantom, "card": tmp_path / "a", "phantom": "p"}
         check_rig(rig_file, out=out, **absent)
-    with pytest.raises(BadInput, match="`ball_mm` must be positive"):
+    with bad_input("`ball_mm` must be positive"):
         check_rig(rig_file, out=out, device="twin", ball_mm=0.0)
     assert not out.exists()
 

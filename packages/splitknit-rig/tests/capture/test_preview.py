@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit_rig import capture_finger
 from splitknit_rig.capture.openers import opener_of
 from splitknit_rig.capture.preview import Preview, serve_preview
@@ -63,7 +63,7 @@ def test_the_page_shows_sharpness_and_histogram(served):
     assert devices.lights.lit == {2}
     assert ask(address, "nothing")[0] == 404
     port = urlsplit(address).port
-    with pytest.raises(BadInput, match=f"port {port} of this computer is taken"):
+    with bad_input(f"port {port} of this computer is taken"):
         serve_preview(preview, 0.1, port, print)
 
 

@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from enrolled import facts_of, refusal_of, words_of
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.imaging.pixels import srgb_code
 from splitknit.io.images import read_image, write_image
 from splitknit.io.light_list import write_light_list
@@ -353,7 +353,7 @@ def test_a_list_of_lights_replaces_another_one_only(name, tmp_path):
     write_light_list(default_rig().leds[:7], tmp_path / name, [f"{k}.png" for k in range(7)])
     check_lights_file(tmp_path / name)
     (tmp_path / name).write_text("mine")
-    with pytest.raises(BadInput, match="not a list of lights"):
+    with bad_input("not a list of lights"):
         check_lights_file(tmp_path / name)
 
 

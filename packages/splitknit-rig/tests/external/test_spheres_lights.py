@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from enrolled import words_of
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_rig.calibration.sphere import (
     Ball,
     balls_of_mask,
@@ -88,7 +88,7 @@ def test_the_outline_is_found_or_a_mask_requested(photographs):
     """The grey ball stands out, the chrome one is black but for its highlight."""
     kind, stack, mask, _ = photographs
     if kind == "chrome":
-        with pytest.raises(BadInput, match="`mask`"):
+        with bad_input("`mask`"):
             find_ball(stack)
         return
     known, estimated = balls_of_mask(mask)[0], find_ball(stack)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mirrored import Scene, scene, turned
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.views import Views
 
@@ -57,7 +57,7 @@ def test_views_of_two_fingers_are_refused(finger):
     """The mirror shows a finger at another place along the mirror, or one of another thickness."""
     elsewhere = np.roll(finger.views.mirrors["left"], 60, axis=0)
     elsewhere[:60] = False
-    with pytest.raises(BadInput, match="do not fit one finger"):
+    with bad_input("do not fit one finger"):
         mirror_shape(Views(finger.views.front, {"left": elsewhere}, 1), finger.rig)
     mask = finger.views.mirrors["left"]
     middle = int(np.flatnonzero(mask.any(axis=0)).mean())
@@ -68,7 +68,7 @@ def test_views_of_two_fingers_are_refused(finger):
         )
         > 0
     )
-    with pytest.raises(BadInput, match="times as thick as it is broad"):
+    with bad_input("times as thick as it is broad"):
         mirror_shape(Views(finger.views.front, {"left": thin}, 1), finger.rig)
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import Camera
 from splitknit.nominal import default_rig
 from splitknit.observation.observe import observe
@@ -121,5 +121,5 @@ def test_noise_falls_with_the_binning():
 
 
 def test_a_sensor_scale_above_one_is_refused():
-    with pytest.raises(BadInput, match="sensor_scale"):
+    with bad_input("sensor_scale"):
         TwinSettings(sensor_scale=1.5)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import Camera
 from splitknit.nominal import default_rig
 from splitknit_simulator.finger.conditions import KINDS, Condition, conditioned_surface
@@ -56,9 +56,9 @@ def test_an_empty_coat_changes_nothing(egg):
 
 
 def test_unknown_conditions_are_refused():
-    with pytest.raises(BadInput, match=r"one of none, wet, dry"):
+    with bad_input(r"one of none, wet, dry"):
         Condition("muddy")
-    with pytest.raises(BadInput, match=r"severity must be from 0 to 1, but it is 1\.5"):
+    with bad_input(r"severity must be from 0 to 1, but it is 1\.5"):
         Condition("wet", 1.5)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import Camera
 from splitknit_simulator.finger.finger import (
     FREQUENCIES,
@@ -212,11 +212,11 @@ def test_drawn_fingers_stay_in_their_ranges():
 
 def test_cameras_and_poses_that_show_no_finger_are_refused(finger):
     wild = Camera(20.0, (840, 580), model="perspective", matrix=np.eye(3))
-    with pytest.raises(BadInput, match="sees nothing"):
+    with bad_input("sees nothing"):
         finger_surface(finger, FingerPose(), wild)
-    with pytest.raises(BadInput, match="height_mm"):
+    with bad_input("height_mm"):
         finger_surface(finger, FingerPose(), replace(wild, height_mm=4.0))
-    with pytest.raises(BadInput, match="sees nothing"):
+    with bad_input("sees nothing"):
         finger_surface(finger, FingerPose(x_mm=200.0), CAMERA)
-    with pytest.raises(BadInput, match="insertion_mm"):
+    with bad_input("insertion_mm"):
         FingerPose(insertion_mm=-1.0)

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from script_folder import VALIDATION, scripts_of
-from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
 from splitknit.nominal import default_rig
 from splitknit_simulator.light.renderer import RenderSettings, render_ambient, render_band
@@ -123,9 +123,9 @@ def test_workers_do_not_change_the_bytes(egg):
 
 def test_an_empty_mask_and_zero_workers_are_refused():
     empty = replace(plane(), mask=np.zeros((96, 128), dtype=np.bool_))
-    with pytest.raises(BadInput, match="outside the picture"):
+    with bad_input("outside the picture"):
         render_band(empty, [OVERHEAD], Medium(_all_channels(), 0.25, 1.0))
-    with pytest.raises(BadInput, match="workers"):
+    with bad_input("workers"):
         RenderSettings(workers=0)
 
 

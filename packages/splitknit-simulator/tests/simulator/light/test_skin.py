@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kernel_of_profile import kernel as kernel_of
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_simulator.light.skin import (
     CHANNELS,
     RADIUS_EDGES,
@@ -77,9 +77,9 @@ def test_melanin_absorbs_most_in_blue_and_blood_in_green():
 
 
 def test_skin_settings_out_of_range_are_refused():
-    with pytest.raises(BadInput, match="melanin"):
+    with bad_input("melanin"):
         SkinOptics(melanin=0.3)
-    with pytest.raises(BadInput, match="glare"):
+    with bad_input("glare"):
         SkinRanges(glare=(2.0, 1.0))
 
 
@@ -165,5 +165,5 @@ def test_albedo_falls_with_absorption():
 
 
 def test_absorption_too_weak_for_the_walks_is_refused():
-    with pytest.raises(BadInput, match="absorption"):
+    with bad_input("absorption"):
         diffusion_profile(4.0, 0.001)
