@@ -1,8 +1,6 @@
 """The public surface: what it holds, that nothing shadows it, and that results go out and come
 back."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -14,23 +12,21 @@ import splitknit
 import splitknit_match
 import splitknit_rig
 import splitknit_simulator
-from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.io.provenance import plain_json
-from splitknit.reconstruction import Reconstruction
 from splitknit_simulator.scene import TwinSettings
 
 SRC = Path(splitknit.__file__).parent
 
 
 @pytest.fixture(scope="module")
-def capture() -> Capture:
+def capture():
     return splitknit_simulator.simulate_capture(3, "whorl", TwinSettings(scale=0.12))[0]
 
 
 @pytest.fixture(scope="module")
-def result(capture: Capture) -> Reconstruction:
+def result(capture):
     return splitknit.reconstruct(capture, "ea")
 
 

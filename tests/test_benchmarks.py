@@ -1,7 +1,5 @@
 """Every benchmark is run by the one that runs them all, and the page beside them names it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

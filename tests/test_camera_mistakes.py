@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import splitknit_simulator
-from splitknit.capture import Capture
 from splitknit.methods.photographs import findings_for, photographs_of
 from splitknit.presets import PRESETS
 
@@ -21,19 +20,17 @@ GAINS = 1 + np.random.default_rng(61).uniform(-0.15, 0.15, (8, 3)).astype(np.flo
 
 
 @lru_cache(maxsize=2)
-def sound(equal: bool) -> Capture:
+def sound(equal):
     """A finger under seven lights, whose brightness differs by 10 % or not."""
     settings = {"scale": 0.1} | ({"rig_seed": None} if equal else {})
     return splitknit_simulator.simulate_capture(6101, settings=settings)[0]
 
 
-def stored(
-    change: Callable[[Light, int], Light], *, ambient: bool = True, equal: bool = False
-) -> Capture:
+def stored(change, *, ambient=True, equal=False):
     """The capture with every image (H, W, 3) in [0, 1], and its number, changed; the ambient one is
     -1, or left out."""
 
-    def bytes_of(image: Any, k: int) -> Any:
+    def bytes_of(image, k):
         return np.clip(np.rint(255 * change(image.astype(np.float32) / 255, k)), 0, 255).astype(
             np.uint8
         )
@@ -48,7 +45,7 @@ def stored(
     return replace(sound(equal), bands=bands)
 
 
-def local_contrast(image: Light, _: int) -> Light:
+def local_contrast(image, _):
     """Divided by the root of what surrounds each pixel, in 2 mm."""
     around = cv2.GaussianBlur(image.mean(axis=2), (0, 0), 15)[..., None]
     return np.asarray(image * np.sqrt(0.3 / np.maximum(around, 0.05)))
@@ -68,7 +65,7 @@ MISTAKES: dict[str, tuple[Callable[[Light, int], Light], str]] = {
 }
 
 
-def doubts_of(capture: Capture) -> list[str]:
+def doubts_of(capture):
     """Codes of what is wrong with the photographs, first what is worst."""
     metric = PRESETS["metric"]
     findings = findings_for(photographs_of(capture, metric.finding()), metric)

@@ -1,8 +1,6 @@
 """The pages say what is true: links lead somewhere, generated pages are current, examples on them
 are read."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util
@@ -108,7 +106,7 @@ def test_the_page_of_the_command_line_lists_every_verb():
     assert verbs == set(VERBS)
 
 
-def commands_of(page: str) -> list[list[str]]:
+def commands_of(page):
     """Arguments of every `splitknit` line in the blocks of a page, but for usages with brackets or
     alternatives."""
     blocks = re.findall(r"```[a-z]*\n(.*?)```", page, flags=re.DOTALL)
@@ -156,7 +154,7 @@ test "$1" = install || exec .venv/bin/splitknit "$1" --out "$1"
 at hand."""
 
 
-def work_through(page: Path, folder: Path) -> list[str]:
+def work_through(page, folder):
     """Do in `folder` what a page says, from top to bottom; return the lines that it promises and
     that did not come.
 
@@ -273,7 +271,7 @@ def test_the_figures_of_the_readme_are_those_of_the_experiments():
         )
 
 
-def faults_of_claim(row: dict[str, str], page: Path) -> list[str]:
+def faults_of_claim(row, page):
     """What a row of the claims' table states that is not so: verdict, page with its intervals,
     script and options."""
     number, verdict, again = row["number"], row["verdict"], row["again"]

@@ -1,7 +1,5 @@
 """Every example runs without arguments, quickly and without warnings."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import subprocess

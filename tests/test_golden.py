@@ -1,10 +1,7 @@
 """The comparison of ``tools/golden.py``; its cases take a minute and are run by ``.ci/run``."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +10,7 @@ TOOL = Path(__file__).resolve().parents[1] / "tools" / "golden.py"
 
 
 @pytest.fixture(scope="module")
-def golden() -> Any:
+def golden():
     spec = importlib.util.spec_from_file_location("golden", TOOL)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -1,8 +1,6 @@
 """``import splitknit`` and ``splitknit --help`` load none of the heavy packages (and so stay far
 below 0.3 s)."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -17,7 +15,7 @@ HEAVY = ("numpy", "cv2", "scipy", "jinja2", "torch", "onnxruntime", "matplotlib"
 REPORT = "import sys, json; print(json.dumps([m for m in {heavy!r} if m in sys.modules]))"
 
 
-def _loaded_after(code: str, names: tuple[str, ...] = HEAVY) -> list[str]:
+def _loaded_after(code, names=HEAVY):
     run = subprocess.run(
         [sys.executable, "-c", code + "\n" + REPORT.format(heavy=names)],
         capture_output=True,

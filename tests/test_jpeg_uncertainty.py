@@ -1,7 +1,5 @@
 """What JPEG may have taken stands in the relief's uncertainty, by scale."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

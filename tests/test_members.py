@@ -1,7 +1,5 @@
 """What members import of each other."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path
@@ -12,11 +10,11 @@ PACKAGES = Path(__file__).resolve().parents[1] / "packages"
 MEMBERS = ("splitknit", "splitknit_simulator", "splitknit_rig", "splitknit_match")
 
 
-def source(member: str) -> Path:
+def source(member):
     return PACKAGES / member.replace("_", "-") / "src" / member
 
 
-def private_imports(text: str, member: str) -> list[str]:
+def private_imports(text, member):
     """Names with a leading underscore that a module of `member` imports from another member."""
     nodes = [
         node

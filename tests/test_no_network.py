@@ -5,8 +5,6 @@ Each runs with a home of its own, without a network where that is permitted, and
 strace, which sees what compiled modules do, or, where there is none, by an audit hook of Python.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -100,14 +98,14 @@ NETWORKS = {
 SYSTEM = re.compile(r"/dev/(null|tty|shm/sem\.[^/]*)|/proc/self/[^/]*")
 
 
-def works(*command: str) -> bool:
+def works(*command):
     return (
         shutil.which(command[0]) is not None
         and not subprocess.run(command, capture_output=True, check=False).returncode
     )
 
 
-def watched(code: str, folder: Path, *arguments: str, strace: bool) -> list[Event]:
+def watched(code, folder, *arguments, strace):
     """Run Python code in `folder`; return what it reads, writes, looks up and connects to, and what
     it leaves."""
     outside, work = folder / "outside", folder / "work"
@@ -151,7 +149,7 @@ def watched(code: str, folder: Path, *arguments: str, strace: bool) -> list[Even
     return [*events, *(("left", str(path)) for path in left)]
 
 
-def of_strace(line: str, work: Path) -> list[Event]:
+def of_strace(line, work):
     """Events of one line of a log of strace -y."""
     call = line.partition("(")[0]
     if call in ("connect", "sendto", "sendmsg", "sendmmsg"):
@@ -173,7 +171,7 @@ def of_strace(line: str, work: Path) -> list[Event]:
     return [("read" if reads else "write", path)]
 
 
-def violations(events: list[Event], folder: Path) -> list[Event]:
+def violations(events, folder):
     allowed = [
         str(folder / "work"),
         str(folder / "outside" / "tmp"),
@@ -196,7 +194,7 @@ STRACE = works("strace", "-f", "true")
 
 
 @pytest.fixture(params=["strace", "audit hook"])
-def strace(request) -> bool:
+def strace(request):
     if request.param == "strace" and not STRACE:
         pytest.skip("strace is not installed, or may not trace")
     return request.param == "strace"
@@ -248,7 +246,7 @@ FINGERS = ("right_index", "left_index")
 
 
 @pytest.fixture(scope="module")
-def people(tmp_path_factory) -> Path:
+def people(tmp_path_factory):
     """Two fingers, 132 x 192 pixels."""
     folder = tmp_path_factory.mktemp("watched") / "people"
     simulate_population(

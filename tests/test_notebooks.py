@@ -14,7 +14,7 @@ NOTEBOOKS = sorted(
 )
 
 
-def code_cells_of(notebook: Path) -> list[dict[str, Any]]:
+def code_cells_of(notebook):
     cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
     return [cell for cell in cells if cell["cell_type"] == "code"]
 

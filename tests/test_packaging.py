@@ -1,8 +1,6 @@
 """What installs the program agrees with pyproject.toml: wheel, conda recipe, environment.yml,
 Dockerfile, workflow."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path
@@ -32,7 +30,7 @@ CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
 """Names that differ there."""
 
 
-def of_conda(requirements: list[str]) -> set[str]:
+def of_conda(requirements):
     """`numpy>=2.0` as conda writes it."""
     names = [
         re.fullmatch(r"([\w-]+)(>=[\d.,<]+)(; .*)?", requirement) for requirement in requirements

@@ -221,7 +221,7 @@ UNTESTED = {
 """What no test holds, and what was tried or read instead."""
 
 
-def clauses() -> list[str]:
+def clauses():
     """SECURITY.md in pieces: each sentence, and of a row of its table each part of the last
     cell."""
     pieces: list[str] = []

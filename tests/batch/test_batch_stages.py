@@ -1,7 +1,5 @@
 """The batch itself: what it writes, that it goes on where it stopped, and what it refuses."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import shutil

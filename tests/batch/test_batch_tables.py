@@ -3,7 +3,6 @@ read."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,14 +27,14 @@ ROWS: list[dict[str, Any]] = [
 
 
 @pytest.fixture
-def table(tmp_path) -> Path:
+def table(tmp_path):
     """Scores in a store."""
     file = tmp_path / "store" / "scores" / "ea" / "ridge" / "0.npz"
     write_table(file, ROWS, {"kind": "scores"})
     return file
 
 
-def scores(table: Path) -> Any:
+def scores(table):
     return Store(table.parents[3]).scores("ea", "ridge")
 
 

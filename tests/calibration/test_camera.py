@@ -1,7 +1,5 @@
 """Zhang's fit: what it finds, what it holds, whom it believes, and what it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

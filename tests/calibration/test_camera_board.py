@@ -1,8 +1,6 @@
 """Checkerboards drawn here: where corners are, whatever the light, and no board but the one that
 was asked for."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

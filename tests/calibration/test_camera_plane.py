@@ -1,7 +1,5 @@
 """The finger plane: height and tilt from marks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,36 +15,34 @@ import pytest
 import splitknit_match
 from handmade import capture_of, finger
 from splitknit import pipeline
-from splitknit.capture import Capture
 from splitknit.cli.app import build_app, options_of, words_of_verbs
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
-from splitknit.reconstruction import Reconstruction
 from splitknit.report.result import FILES
 
 Captured = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def capture_folder(tmp_path) -> Path:
+def capture_folder(tmp_path):
     result, truth = finger()
     write_capture(capture_of(result), tmp_path / "capture", truth)
     return tmp_path / "capture"
 
 
 @pytest.fixture
-def seen(monkeypatch) -> dict[str, Any]:
+def seen(monkeypatch):
     """Put a stage of our own in the pipeline's place; return what it was called with."""
     calls: dict[str, Any] = {}
 
     def stand_in(
-        capture: Capture,
-        preset: str = "metric",
-        settings: Mapping[str, Any] | None = None,
-        progress: Callable[[str, float], None] | None = None,
-        kept: object = None,
-    ) -> Reconstruction:
+        capture,
+        preset="metric",
+        settings=None,
+        progress=None,
+        kept=None,
+    ):
         calls.update(
             preset=preset,
             settings=dict(settings or {}),
@@ -238,7 +235,7 @@ def test_an_interrupt_in_an_import_is_one_line(tmp_path, which, number):
     assert list(tmp_path.iterdir()) == []
 
 
-def assert_interrupted(code: str, *arguments: str, cwd: Path | None = None) -> None:
+def assert_interrupted(code, *arguments, cwd=None):
     """One line and no more where `code` runs the program, which is interrupted."""
     run = subprocess.run(
         [sys.executable, "-c", code, *arguments],

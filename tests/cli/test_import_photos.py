@@ -1,12 +1,9 @@
 """Photographs through the command line: one command to a surface, one to a capture, and a scale
 that is not known."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +19,7 @@ RADIUS = 200.0
 
 
 @pytest.fixture(scope="module")
-def photos(tmp_path_factory) -> Path:
+def photos(tmp_path_factory):
     """A cap of a ball with ridges of 8 pixels all over it, under five lights."""
     root = tmp_path_factory.mktemp("photos")
     rows, columns = np.mgrid[:200, :200]
@@ -41,13 +38,13 @@ def photos(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def result(photos: Path) -> Path:
+def result(photos):
     assert main(f"reconstruct --images {photos} --preset ea --out {photos}/result".split()) == 0
     return photos / "result"
 
 
 @pytest.fixture
-def captured(tmp_path) -> Path:
+def captured(tmp_path):
     """What ``splitknit capture`` leaves: 14 LEDs, ambient images, the session."""
     taken = tmp_path / "real"
     small = ("--scale", "0.1", "--set", "pose.insertion_mm=[26.0, 26.0]")
@@ -138,7 +135,7 @@ def test_a_known_scale_is_not_replaced(photos, tmp_path, capsys):
     assert "has a scale already: 20 px/mm" in capsys.readouterr().err
 
 
-def polarised_photos(photos: Path, root: Path, *, mirrored: int = 3000) -> tuple[Path, Path]:
+def polarised_photos(photos, root, *, mirrored=3000):
     """The ball's photographs as a crossed series, and with light that its surface reflects as a
     parallel one."""
     parallel, crossed = root / "parallel", root / "crossed"
@@ -154,7 +151,7 @@ def polarised_photos(photos: Path, root: Path, *, mirrored: int = 3000) -> tuple
     return parallel, crossed
 
 
-def imported(*arguments: object) -> int:
+def imported(*arguments):
     return main(["import", *map(str, arguments), "--px-per-mm", "10", "--json"])
 
 

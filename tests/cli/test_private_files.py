@@ -1,11 +1,8 @@
 """What the command line writes is readable by its owner alone, or by the group where that is asked
 for."""
 
-from __future__ import annotations
-
 import os
 import stat
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +10,7 @@ from splitknit.cli.main import main
 from splitknit.io.atomic import GROUP_READABLE
 
 
-def _modes(folder: Path) -> tuple[set[int], set[int]]:
+def _modes(folder):
     modes = {path: stat.S_IMODE(path.stat().st_mode) for path in folder.rglob("*")}
     return {m for p, m in modes.items() if p.is_file()}, {m for p, m in modes.items() if p.is_dir()}
 

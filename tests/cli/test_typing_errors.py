@@ -1,7 +1,5 @@
 """``--version`` of every verb, and what is suggested for a typo."""
 
-from __future__ import annotations
-
 import pytest
 
 from splitknit.cli.main import main

@@ -23,16 +23,16 @@ MAIN = "0 to 40"
 
 
 def laid_down(
-    roll: float = 0.0,
-    yaw: float = 0.0,
-    moved: tuple[float, float] = (0.0, 0.0),
+    roll=0.0,
+    yaw=0.0,
+    moved=(0.0, 0.0),
     *,
-    um: float = 30.0,
-    whorl: float = 1.0,
-    stretched: float = 0.0,
-    near_mm: float = 0.0,
-    half_mm: float = 5.6,
-) -> Reconstruction:
+    um=30.0,
+    whorl=1.0,
+    stretched=0.0,
+    near_mm=0.0,
+    half_mm=5.6,
+):
     """The cylinder with concentric ridges, rolled and turned (rad) and moved (mm)."""
     x, y = np.meshgrid(
         np.arange(-half_mm - 0.4, half_mm + 0.4, PITCH), np.arange(7.0, -7.0, -PITCH)

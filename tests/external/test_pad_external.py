@@ -1,7 +1,5 @@
 """Real photographs of an opaque gel are not skin, and path-traced live fingers no attacks."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

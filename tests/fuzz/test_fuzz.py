@@ -38,7 +38,7 @@ sys.exit(run.main(["--inputs", "800", "--keep", sys.argv[1]]))
 """
 
 
-def run(*words: str) -> subprocess.CompletedProcess[str]:
+def run(*words):
     return subprocess.run(
         [sys.executable, *words],
         cwd=ROOT,

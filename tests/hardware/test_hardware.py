@@ -1,14 +1,11 @@
 """The files of ``hardware/`` and the scripts that draw them: circuit, light on eye and skin,
 phantom, printed parts."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import json
 import math
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +16,7 @@ from hardware.checks import check_dimensions
 from hardware.circuit import BOARD, write_circuit
 from hardware.geometry import dimensions_of, holder_places, mirror_profile
 from hardware.sizes import read_dimensions
-from hardware.stages import GPIO_HIGH_V, GPIO_LIMIT_A, Stage, design_stage
+from hardware.stages import GPIO_HIGH_V, GPIO_LIMIT_A, design_stage
 from splitknit.errors import BadInput
 from splitknit.io.rig import read_rig
 from splitknit.nominal import default_rig
@@ -31,11 +28,11 @@ ROOT = Path(__file__).resolve().parents[2]
 PARTS = json.loads((ROOT / "hardware" / "files" / "parts.json").read_text(encoding="utf-8"))
 
 
-def circuit(**changes: object) -> SimpleNamespace:
+def circuit(**changes):
     return read_dimensions(changes={"circuit": changes}).circuit
 
 
-def led(band: str, **changes: object) -> SimpleNamespace:
+def led(band, **changes):
     return getattr(circuit(**{band: changes}), band)
 
 
@@ -96,9 +93,7 @@ def test_mirrors_stand_where_the_simulator_has_them():
 # The LED board.
 
 
-def solved(
-    stage: Stage, *, high_v: float, supply_v: float, forward_v: float, base_v: float, gain: float
-) -> tuple[float, float]:
+def solved(stage, *, high_v, supply_v, forward_v, base_v, gain):
     """LED and base current by the transistor's exponential law (Ebers and Moll): no shortcuts of
     the design."""
     thermal, back = 0.026, 4.0
@@ -106,20 +101,20 @@ def solved(
     ohm = {resistor.role: resistor.ohm for resistor in stage.resistors}
     base, emitter, series = ohm["base"], ohm.get("emitter", 0.0), max(ohm.get("series", 0.0), 1e-3)
 
-    def currents(of_base: float, of_collector: float) -> tuple[float, float]:
+    def currents(of_base, of_collector):
         """Into collector and base at voltages over the emitter."""
         forward = saturation * math.expm1(min(of_base / thermal, 60.0))
         reverse = saturation * math.expm1(min((of_base - of_collector) / thermal, 60.0))
         return forward - reverse * (1 + 1 / back), forward / gain + reverse / back
 
-    def collector(of_base: float, at_emitter: float) -> float:
+    def collector(of_base, at_emitter):
         """Voltage over the emitter at which LED and transistor carry the same current."""
         top = supply_v - forward_v - at_emitter
         return float(
             brentq(lambda v: (top - v) / series - currents(of_base, v)[0], -60.0, 60.0, xtol=1e-12)
         )
 
-    def emitter_of(of_base: float) -> float:
+    def emitter_of(of_base):
         """Voltage over the emitter resistor."""
         if emitter == 0.0:
             return 0.0
@@ -132,7 +127,7 @@ def solved(
             )
         )
 
-    def too_much(of_base: float) -> float:
+    def too_much(of_base):
         at_emitter = emitter_of(of_base)
         return (
             currents(of_base, collector(of_base, at_emitter))[1]
@@ -272,7 +267,7 @@ def test_the_weighting_functions_are_the_tables(nm, blue, burn):
     assert safety.burn_weight(np.array([float(nm)]))[0] == pytest.approx(burn, rel=0.005)
 
 
-def named(hazards: tuple[safety.Hazard, ...], clause: str) -> safety.Hazard:
+def named(hazards, clause):
     return next(hazard for hazard in hazards if hazard.clause == clause)
 
 
@@ -326,14 +321,14 @@ def test_the_phantom_is_closed_and_as_high_as_stated():
 
 
 @pytest.fixture(scope="module")
-def parts() -> tuple[object, dict[str, object]]:
+def parts():
     pytest.importorskip("build123d", reason="build123d (group hardware) is not installed")
     s = read_dimensions(changes={"rig": {"films": "servo", "side": 7}})
     d = dimensions_of(films.rig_of(s), s)
     return d, draw.draw_parts(d)
 
 
-def shared_volume(first, second) -> float:
+def shared_volume(first, second):
     common = first.intersect(second)
     return 0.0 if common is None else sum(solid.volume for solid in common.solids())
 

@@ -1,8 +1,6 @@
 """The printed sheet, read back: true to scale, found by the calibration that it is for, the same
 bytes each time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

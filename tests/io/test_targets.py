@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +22,7 @@ WRITERS = (
 
 
 @pytest.fixture
-def taken(tmp_path) -> Path:
+def taken(tmp_path):
     """A folder that splitknit wrote: photographs of a finger, as ``splitknit capture`` leaves
     them."""
     with atomic_folder(tmp_path / "finger") as folder:

@@ -1,7 +1,5 @@
 """The training scripts, a few steps each."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from dataclasses import replace

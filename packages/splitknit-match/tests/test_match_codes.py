@@ -1,7 +1,5 @@
 """Codes of the findings of the matching verbs."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,8 +18,8 @@ from splitknit.io.provenance import provenance
 from splitknit.io.results import read_result, write_mesh
 from splitknit.model import Camera, Led, Rig
 from splitknit.pipeline import located, reconstruct
-from splitknit.presets import PRESETS, PipelineSettings, chosen_settings, preset_settings
-from splitknit.reconstruction import Reconstruction, surface_of
+from splitknit.presets import PRESETS, chosen_settings, preset_settings
+from splitknit.reconstruction import surface_of
 from splitknit.settings import flatten
 from splitknit_match.matching.inputs import read_surface
 from splitknit_match.matching.surface import surface_images
@@ -35,17 +33,17 @@ _POSE = FingerPose(insertion_mm=28.0, yaw_rad=0.1)
 
 
 @pytest.fixture(scope="module")
-def capture(twin_capture: Capture) -> Capture:
+def capture(twin_capture):
     return twin_capture
 
 
 @pytest.fixture(scope="module")
-def truth(twin_folder: Path) -> Truth:
+def truth(twin_folder):
     return read_npz(twin_folder / "truth.npz")
 
 
 @pytest.fixture(scope="module")
-def results(capture: Capture) -> dict[str, Reconstruction]:
+def results(capture):
     return {preset: reconstruct(capture, preset) for preset in PRESETS}
 
 
@@ -86,7 +84,7 @@ def test_the_networks_show_the_ridges_of_a_coarse_camera(capture, results):
     as_accurate("metric with networks", result, truth)
 
 
-def as_accurate(name: str, result: Reconstruction, truth: Truth) -> None:
+def as_accurate(name, result, truth):
     """As good as stored, within three standard deviations and 1 % for other versions of
     packages."""
     figures = compare(result, truth).figures
@@ -233,7 +231,7 @@ def test_a_given_mask_is_used_as_it_is(capture, truth):
     assert not result.facts["crease_found"]
 
 
-def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, Any]:
+def differing(first, second):
     before, after = flatten(asdict(first)), flatten(asdict(second))
     assert before.keys() == after.keys()
     return {name: after[name] for name in before if before[name] != after[name]}
@@ -336,7 +334,7 @@ def test_unknown_presets_settings_and_bands_are_refused(capture):
         reconstruct(capture, "snk", {"knit.glue": 1})
 
 
-def lambertian_dome() -> tuple[Capture, np.ndarray]:
+def lambertian_dome():
     """A matt dome 11 mm right of the picture's middle under four near lights, and its height."""
     camera = Camera(12.0, (240, 440))
     view = view_of(camera)

@@ -1,7 +1,5 @@
 """One thread of BLAS in every thread of a process, from the first comparison on."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

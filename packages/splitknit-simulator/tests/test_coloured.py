@@ -1,8 +1,6 @@
 """Coloured LEDs in a capture: separated, written and read, and refused where they cannot be
 separated."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 
@@ -12,7 +10,7 @@ import pytest
 from enrolled import refusal_of
 from refusals import bad_input
 from small_capture import edit
-from splitknit.capture import Band, Capture
+from splitknit.capture import Band
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.rig import read_rig, write_rig
@@ -31,18 +29,16 @@ MIXING = np.array(CROSSTALK)
 
 
 @pytest.fixture(scope="module")
-def twin() -> Capture:
+def twin():
     return simulate_capture(4, "left_loop", TwinSettings(rig=coloured_rig(0.12, 0)))[0]
 
 
 @pytest.fixture(scope="module")
-def white() -> Capture:
+def white():
     return simulate_capture(4, "left_loop", TwinSettings(scale=0.12))[0]
 
 
-def band_of(
-    light: np.ndarray, colours: tuple[tuple[str, ...], ...], crosstalk: np.ndarray | None
-) -> Band:
+def band_of(light, colours, crosstalk):
     """16-bit images of linear light (L, H, W, 3)."""
     groups, start = [], 0
     for names in colours:

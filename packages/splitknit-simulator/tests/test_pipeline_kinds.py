@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -22,7 +21,6 @@ from splitknit.io.images import read_image
 from splitknit.io.npz import read_npz
 from splitknit.nominal import default_rig
 from splitknit.pipeline import reconstruct
-from splitknit.reconstruction import Reconstruction
 from splitknit_simulator.camera.sensor import SensorSettings
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.light.skin import SkinOptics
@@ -35,23 +33,21 @@ QUICK = {"metric.rounds": 1, "metric.coarse_steps": 2}
 """A short run of the metric recipe: enough to see that a kind of capture gets through."""
 
 
-def quick(capture: Capture, preset: str) -> Reconstruction:
+def quick(capture, preset):
     return reconstruct(capture, preset, QUICK if preset == "metric" else None)
 
 
 @pytest.fixture(scope="module")
-def capture(twin_capture: Capture) -> Capture:
+def capture(twin_capture):
     return twin_capture
 
 
 @pytest.fixture(scope="module")
-def truth(twin_folder: Path) -> Truth:
+def truth(twin_folder):
     return read_npz(twin_folder / "truth.npz")
 
 
-def plausible(
-    result: Reconstruction, truth: Truth, rms_mm: float = 1.3, correlation: float = 0.1
-) -> None:
+def plausible(result, truth, rms_mm=1.3, correlation=0.1):
     mask = result.mask
     for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
         np.testing.assert_array_equal(np.isfinite(field), mask)
@@ -222,11 +218,11 @@ def test_the_tip_direction_of_a_file_is_used(tip_deg, capture, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def upright(capture: Capture) -> Reconstruction:
+def upright(capture):
     return reconstruct(capture, "ea")
 
 
-def tip_of(mask: np.ndarray, quarter_turns: int) -> tuple[float, float]:
+def tip_of(mask, quarter_turns):
     """Column, row of the pixel of `mask` that lies furthest in the tip's direction."""
     rows, columns = np.nonzero(mask)
     k = int(np.argmin([rows, columns, -rows, -columns][quarter_turns]))

@@ -1,8 +1,6 @@
 """A capture with mirrors through the whole pipeline: the shape from mirrors, or the front view
 alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -24,7 +22,7 @@ Photographed = tuple[Capture, dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
-def photographed() -> Photographed:
+def photographed():
     mirrors = MirrorSettings(names=("left",), nir=False)
     pose = FingerPose(yaw_rad=0.05, roll_rad=-0.06, insertion_mm=28.5)
     return simulate_capture(9002, settings=TwinSettings(scale=0.2, mirrors=mirrors, pose=pose))

@@ -1,7 +1,5 @@
 """Arrays are in mm, of an assumed scale where nobody measured it; files are then in pixels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,13 +7,12 @@ import pytest
 
 import splitknit
 import splitknit_simulator
-from splitknit.capture import Capture
 from splitknit.io.npz import read_npz
 from splitknit.model import Led, Rig, camera_without_scale, vector_at_origin
 from splitknit.units import MILLIMETRES, pixels
 
 
-def unscaled(capture: Capture) -> Capture:
+def unscaled(capture):
     """The same photographs, by a camera whose scale nobody has measured, under distant lights."""
     leds = tuple(
         Led(led.band, direction=tuple(vector_at_origin(led).tolist())) for led in capture.rig.leds

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -8,7 +6,7 @@ from splitknit.io.rig import rig_from_json, rig_to_json
 from splitknit.model import Camera, Led, Mirror, Rig
 
 
-def rig_of(*leds: Led) -> Rig:
+def rig_of(*leds):
     return Rig(Camera(10.0, (40, 60)), leds)
 
 

@@ -20,7 +20,7 @@ class Inner:
     limit: float | None = None
     on: bool = True
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         require(self.sigma > 0, "sigma must be positive.")
 
 
@@ -89,7 +89,7 @@ class PairSettings(Checked):
     low: Annotated[float, Limits(max=2)] = 0.0
     high: float = 1.0
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         check_fields(self)
         require(self.low <= self.high, "low above high.")
 

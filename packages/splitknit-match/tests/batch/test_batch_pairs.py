@@ -1,8 +1,6 @@
 """Which captures are compared: all of them, or a fraction that grows without changing, in
 blocks."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from splitknit_match.batch.population import CaptureRef, all_pairs, blocks_of

@@ -1,7 +1,5 @@
 """Surfaces in files: nothing is lost, and damage is noticed."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np
@@ -14,7 +12,7 @@ from splitknit.reconstruction import Surface
 from splitknit_match.batch.surfaces import read_surface, write_surface
 
 
-def surface() -> tuple[Surface, np.ndarray]:
+def surface():
     rng = np.random.default_rng(5)
     row, column = np.mgrid[:60, :50]
     mask = np.hypot(row - 31, column - 24) < 20
@@ -31,7 +29,7 @@ def surface() -> tuple[Surface, np.ndarray]:
     return Surface(ridge, shape, normals, mask, 0.033, matrix, (70, 48)), height
 
 
-def assert_equal(actual: Surface, expected: Surface) -> None:
+def assert_equal(actual, expected):
     for field in fields(Surface):
         np.testing.assert_array_equal(
             getattr(actual, field.name), getattr(expected, field.name), err_msg=field.name

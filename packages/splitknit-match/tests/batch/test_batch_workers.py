@@ -1,7 +1,5 @@
 """Workers that are killed: nothing is lost, nothing is counted twice."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -11,10 +9,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -29,30 +25,30 @@ from splitknit_match.batch.tasks import AHEAD, Done, Workers, connected, run_tas
 HERE, TWO = Workers(1), Workers(2)
 
 
-def double(value: int) -> Done:
+def double(value):
     return Done(2 * value)
 
 
-def threads_of(value: int) -> Done:
+def threads_of(value):
     return Done(running().threads)
 
 
-def die(value: int) -> Done:
+def die(value):
     if value == 2:
         os.kill(os.getpid(), signal.SIGKILL)
     return Done(value)
 
 
-def sizes(work: Callable[[int], Done], values: Any, workers: Workers) -> list[int]:
+def sizes(work, values, workers):
     return sorted(done.size for done in run_tasks(work, values, workers))
 
 
 @contextmanager
-def when_begun(out: Path, act: Callable[[], None]) -> Iterator[threading.Event]:
+def when_begun(out, act):
     """Do something as soon as the first chunk is there."""
     done, stop = threading.Event(), threading.Event()
 
-    def watch() -> None:
+    def watch():
         while not stop.is_set():
             if list(out.glob("features/ea/*/*/*.npz")):
                 act()
@@ -97,7 +93,7 @@ def test_a_package_that_is_missing_is_named(monkeypatch):
         pass
 
 
-def certificates(folder: Path) -> Path:
+def certificates(folder):
     """Write a CA, a certificate that it signed, and the key of that."""
     if shutil.which("openssl") is None:
         pytest.skip("no openssl to make certificates")
@@ -114,7 +110,7 @@ def certificates(folder: Path) -> Path:
     return folder
 
 
-def configured(folder: Path) -> Any:
+def configured(folder):
     """Dask with a folder's certificates, as its environment variables would set them."""
     import dask
 
@@ -125,7 +121,7 @@ def configured(folder: Path) -> Any:
 
 
 @pytest.fixture(scope="module")
-def tls(tmp_path_factory) -> Iterator[tuple[str, Path, Path]]:
+def tls(tmp_path_factory):
     """Address of a cluster, the certificates of its CA, and those of another one."""
     distributed = pytest.importorskip("distributed")
     folder = tmp_path_factory.mktemp("tls")
@@ -151,7 +147,7 @@ def tls(tmp_path_factory) -> Iterator[tuple[str, Path, Path]]:
         yield cluster.scheduler_address, good, foreign
 
 
-def listening() -> int:
+def listening():
     """Ports that this process listens on."""
     import psutil
 
@@ -245,7 +241,7 @@ class Counted(list[int]):
 
     begun = 0
 
-    def __iter__(self) -> Iterator[int]:
+    def __iter__(self):
         for task in super().__iter__():
             self.begun += 1
             yield task

@@ -1,9 +1,6 @@
 """``splitknit batch`` of things that are no fingers."""
 
-from __future__ import annotations
-
 import shutil
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,7 +12,7 @@ SIDE = 60
 LIGHTS = np.array([[0.6, 0, 0.8], [-0.6, 0, 0.8], [0, 0.6, 0.8], [0, -0.6, 0.8], [0.36, 0.48, 0.8]])
 
 
-def write_object(folder: Path, bend: float) -> None:
+def write_object(folder, bend):
     folder.mkdir(parents=True)
     y, x = np.mgrid[1 : -1 : SIDE * 1j, -1 : 1 : SIDE * 1j]
     normals = np.dstack([bend * x, bend * y, np.ones_like(x)])

@@ -1,8 +1,6 @@
 """``splitknit enroll`` and ``splitknit gallery``: what goes in, what can be seen, what is gone,
 what is refused."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -24,7 +22,7 @@ PHRASE = "a phrase for tests"
 
 
 @pytest.fixture(scope="module")
-def whole(people_folder: Path, tmp_path_factory) -> Path:
+def whole(people_folder, tmp_path_factory):
     """Gallery of the whole population; not to be changed."""
     file = tmp_path_factory.mktemp("whole") / "people.skg"
     assert main(f"enroll {file} --population {people_folder}".split()) == 0
@@ -32,12 +30,12 @@ def whole(people_folder: Path, tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def gallery(whole: Path, tmp_path) -> Path:
+def gallery(whole, tmp_path):
     """The same, to be changed."""
     return Path(shutil.copy(whole, tmp_path / "people.skg"))
 
 
-def who(capsys, gallery: Path, *more: object) -> list[tuple[str, str, str]]:
+def who(capsys, gallery, *more):
     captures = facts_of(capsys, f"gallery list {gallery}", *more)["captures"]
     return [(capture["person"], capture["finger"], capture["session"]) for capture in captures]
 

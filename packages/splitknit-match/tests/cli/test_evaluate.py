@@ -6,7 +6,6 @@ import csv
 import json
 import re
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,14 +22,14 @@ HAND = "label,score\n1,0.9\n1,0.8\n1,0.7\n1,0.3\n0,0.1\n0,0.2\n0,0.4\n0,0.5\n"
 
 
 def write_population(
-    path: Path,
+    path,
     *,
-    power: float = 3.0,
-    fingers: int = 20,
-    sessions: int = 4,
-    ids: bool = True,
-    turn: bool = False,
-) -> Path:
+    power=3.0,
+    fingers=20,
+    sessions=4,
+    ids=True,
+    turn=False,
+):
     """Scores of a protocol, two fingers a subject, every fiftieth missing."""
     generator = np.random.default_rng(0)
     finger, session = np.tile(np.arange(fingers), sessions), np.repeat(np.arange(sessions), fingers)
@@ -53,7 +52,7 @@ def write_population(
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def folder(tmp_path_factory):
     """Score files: ours.csv, theirs.csv (the same pairs), plain.csv (no ids), hand.csv."""
     here = tmp_path_factory.mktemp("scores")
     write_population(here / "ours.csv")
@@ -64,7 +63,7 @@ def folder(tmp_path_factory) -> Path:
     return here
 
 
-def report(out: Path) -> dict[str, Any]:
+def report(out):
     document: dict[str, Any] = json.loads((out / "report.json").read_text())
     return document
 

@@ -1,10 +1,7 @@
 """``splitknit evaluate --fuse``: one system more."""
 
-from __future__ import annotations
-
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +10,7 @@ from splitknit.cli.main import main
 from splitknit_match.evaluation.protocol import comparisons
 
 
-def write(path: Path, seed: int, *, ids: bool = True, subjects: bool = True) -> Path:
+def write(path, seed, *, ids=True, subjects=True):
     """Twelve subjects, two fingers each, two sessions; errors by `seed`, every fiftieth score
     missing."""
     rng = np.random.default_rng(seed)
@@ -34,7 +31,7 @@ def write(path: Path, seed: int, *, ids: bool = True, subjects: bool = True) -> 
     return path
 
 
-def run(capsys, *arguments: object) -> tuple[int, str, str]:
+def run(capsys, *arguments):
     code = main(["evaluate", "--replicates", "20", *map(str, arguments)])
     printed = capsys.readouterr()
     return code, printed.out, printed.err

@@ -1,7 +1,5 @@
 """``splitknit evaluate --gallery``: every session against every other, and the scores as a file."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil
@@ -20,14 +18,14 @@ QUICK = ("--replicates", 40)
 
 
 @pytest.fixture(scope="module")
-def gallery(people_folder: Path, tmp_path_factory) -> Path:
+def gallery(people_folder, tmp_path_factory):
     """Three fingers in two sessions; not to be changed."""
     file = tmp_path_factory.mktemp("evaluate") / "people.skg"
     assert main(f"enroll {file} --population {people_folder}".split()) == 0
     return file
 
 
-def table_of(folder: Path) -> list[dict[str, str]]:
+def table_of(folder):
     with (folder / "scores.csv").open(newline="") as stream:
         return list(csv.DictReader(stream))
 

@@ -1,10 +1,7 @@
 """``splitknit export`` and ``import``: prints and results as records, read by other programs, and
 back."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -31,7 +28,7 @@ MINUTIAE = {"iso-19794-2": "iso", "ansi-378": "fmr", "ansi-378-2009": "fmr"}
 
 
 @pytest.fixture(scope="module")
-def prints(tmp_path_factory) -> Path:
+def prints(tmp_path_factory):
     """Two presses of a finger and one of another, 500 ppi, and the first at 1000 ppi."""
     folder = tmp_path_factory.mktemp("prints")
     write_print_png(folder / "a.png", spiral_print())
@@ -41,18 +38,16 @@ def prints(tmp_path_factory) -> Path:
     return folder
 
 
-def export(
-    capsys, tmp_path, to: str, *sources: object, out: str = "out", **options: object
-) -> dict:
+def export(capsys, tmp_path, to, *sources, out="out", **options):
     flags = [word for name, value in options.items() for word in (f"--{name}", value)]
     return facts_of(capsys, "export", *sources, "--to", to, "--out", tmp_path / out, *flags)
 
 
-def similarity_of(capsys, *fingers: Path) -> float:
+def similarity_of(capsys, *fingers):
     return facts_of(capsys, "match", *fingers)["similarity"]
 
 
-def enroll(capsys, gallery: Path, source: Path, person: str) -> None:
+def enroll(capsys, gallery, source, person):
     owner = ("--person", person, "--finger", "right_index")
     facts_of(capsys, f"enroll {gallery} {source}", *owner)
 

@@ -1,7 +1,5 @@
 """``splitknit identify``: the right one first, what that means, and nobody where it is nobody."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from splitknit_match.matching.methods import rate, similarity_at
 
 
 @pytest.fixture(scope="module")
-def gallery(people_folder: Path, tmp_path_factory) -> Path:
+def gallery(people_folder, tmp_path_factory):
     """First sessions of three fingers, second of one, and a failure to acquire; not to be
     changed."""
     folder = tmp_path_factory.mktemp("identify")
@@ -31,7 +29,7 @@ def gallery(people_folder: Path, tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def probe(people_folder: Path) -> Path:
+def probe(people_folder):
     """Bob comes back."""
     return people_folder / "S02/session_2/right_index"
 

@@ -1,9 +1,6 @@
 """``splitknit match``: what comes in, what is printed, what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ from splitknit_simulator.finger.finger import FingerPose
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory) -> Path:
+def results(tmp_path_factory):
     """Two impressions of one finger and one of another, as result folders of perfect
     reconstructions."""
     turned = FingerPose(insertion_mm=26.0, yaw_rad=0.15, roll_rad=0.08)

@@ -1,7 +1,5 @@
 """``splitknit match --method minutiae``: results and prints by their minutiae."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,12 +7,11 @@ from enrolled import facts_of, words_of
 from splitknit.errors import BadInput
 from splitknit.io.prints import read_print_png, write_print_png
 from splitknit_match.evaluation.gallery_scores import gallery_scores
-from splitknit_match.evaluation.scores import Scores
 from splitknit_match.matching.methods import rate
 from splitknit_match.prints.minutiae_record import no_minutiae
 
 
-def report_of(capsys, *arguments: object, method: str = "minutiae") -> dict:
+def report_of(capsys, *arguments, method="minutiae"):
     return facts_of(capsys, "match", *arguments, "--method", method)
 
 
@@ -101,7 +98,7 @@ def test_prints_are_compared_without_nbis(impressions, capsys, monkeypatch, meth
     assert report_of(capsys, *prints, method=method)["answer"] == "match"
 
 
-def holds(scores: Scores, person: str) -> np.ndarray:
+def holds(scores, person):
     """(N,) comparisons of a person."""
     assert scores.subject is not None
     return (scores.subject.codes == scores.subject.names.index(person)).any(axis=1)

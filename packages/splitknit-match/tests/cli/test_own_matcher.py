@@ -1,7 +1,5 @@
 """Somebody's own matcher and preset: named, never written into the source."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -33,7 +31,7 @@ def broken():
 
 
 @pytest.fixture(autouse=True)
-def module(tmp_path, monkeypatch) -> None:
+def module(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(MODULE)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")

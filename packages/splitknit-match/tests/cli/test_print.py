@@ -1,13 +1,10 @@
 """``splitknit print``: the four methods, their files, what is refused."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -26,7 +23,7 @@ from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_su
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory) -> Path:
+def result(tmp_path_factory):
     """A perfect reconstruction of a whorl, turned a little, with the places of its true
     minutiae."""
     camera = default_rig(0.22).camera

@@ -1,7 +1,5 @@
 """``splitknit print --method rolled``: its files and facts, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,6 @@ import pytest
 
 import rolled_scene as scene
 from enrolled import facts_of, refusal_of
-from splitknit.capture import Capture
 from splitknit.findings import Finding
 from splitknit.io.capture import write_capture
 from splitknit_match.prints.verbs import _print_lines
@@ -17,7 +14,7 @@ from written_files import read_ply
 
 
 @pytest.fixture(scope="module")
-def drawn() -> tuple[Capture, dict[str, np.ndarray]]:
+def drawn():
     return scene.capture(("right",))
 
 

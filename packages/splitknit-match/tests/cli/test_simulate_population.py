@@ -1,8 +1,6 @@
 """``splitknit simulate population``: laid out as an enrolment, the same however it was made,
 resumable."""
 
-from __future__ import annotations
-
 import csv
 import fcntl
 import hashlib
@@ -41,16 +39,16 @@ SMALL = (
 )
 
 
-def words(out: Path, *more: str, small: tuple[str, ...] = SMALL) -> list[str]:
+def words(out, *more, small=SMALL):
     return [*f"simulate population --out {out}".split(), *small, *more]
 
 
-def refused(capsys, *arguments: str) -> str:
+def refused(capsys, *arguments):
     capsys.readouterr()
     return refusal_of(capsys, *arguments)
 
 
-def digests(folder: Path) -> dict[str, str]:
+def digests(folder):
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*"))
@@ -59,7 +57,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def population(tmp_path_factory) -> Path:
+def population(tmp_path_factory):
     """Two people, two fingers, two sessions, by one process."""
     out = tmp_path_factory.mktemp("population") / "made"
     assert main(words(out, "--workers", "1")) == 0
@@ -168,7 +166,7 @@ def test_a_table_that_is_not_ours_and_links_are_not_written(population, tmp_path
     assert mine.read_text() == "my own"
 
 
-def list_of_processes(out: Path) -> list[str]:
+def list_of_processes(out):
     """Processes whose command line or parent's names `out`; spawned workers name only their
     parent's pipe."""
     alive = []
@@ -291,7 +289,7 @@ PRINTED = ("--scale", "0.08", "--subjects", "3", "--fingers", "right_index", "--
 
 
 @pytest.fixture(scope="module")
-def prints(tmp_path_factory) -> Path:
+def prints(tmp_path_factory):
     """One real finger in two impressions."""
     folder = tmp_path_factory.mktemp("prints")
     for number, seed in enumerate((5, 6), 1):

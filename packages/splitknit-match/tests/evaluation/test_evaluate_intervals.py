@@ -1,7 +1,5 @@
 """Intervals: replicates agree with the rates, clusters are drawn whole, the truth is covered."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +12,7 @@ from scipy.special import betainc, ndtr
 from refusals import bad_input
 from splitknit_match.evaluation.intervals import BootstrapSettings, Interval, bootstrap, differences
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
-from splitknit_match.evaluation.rates import Roc, error_bound, rank, roc
+from splitknit_match.evaluation.rates import error_bound, rank, roc
 from splitknit_match.evaluation.scores import Scores, ids_of
 
 FEW = BootstrapSettings(replicates=100, curve_points=5)
@@ -34,27 +32,27 @@ sides = st.tuples(scores_1d, scores_1d).filter(
 )
 
 
-def figures(curve: Roc) -> list[float]:
+def figures(curve):
     """Rates, failures counted and left out."""
     eers = [part.equal_error().value for part in (curve, curve.scored())]
     gars = [part.gars((0.5, 0.1, 0.01)) for part in (curve, curve.scored())]
     return [*eers, *gars[0], *gars[1], curve.auc()]
 
 
-def plain_scores(genuine: np.ndarray, impostor: np.ndarray, name: str = "scores") -> Scores:
+def plain_scores(genuine, impostor, name="scores"):
     label = np.repeat([True, False], [genuine.size, impostor.size])
     return Scores(label, np.concatenate([genuine, impostor]), name=name)
 
 
-def impostors(generator: np.random.Generator) -> np.ndarray:
+def impostors(generator):
     return generator.normal(0, 1, 300)
 
 
-def width(interval: Interval) -> float:
+def width(interval):
     return interval.high - interval.low
 
 
-def population(seed: int, fingers: int = 30, sessions: int = 3, spread: float = 0.8) -> Scores:
+def population(seed, fingers=30, sessions=3, spread=0.8):
     """Scores with an effect of each finger: 3 + spread q_a and spread (q_a + q_b) / 2, unit
     noise."""
     generator = np.random.default_rng(seed)

@@ -17,7 +17,7 @@ from splitknit_match.evaluation.protocol import (
 from splitknit_match.evaluation.scores import Ids, Scores, ids_of
 
 
-def small(score: list[float] | None = None) -> Scores:
+def small(score=None):
     """Fingers x and y in sessions 1, 2, 3; twelve comparisons."""
     finger, session = ["x", "y"] * 3, [1, 1, 2, 2, 3, 3]
     pairs = comparisons(finger, session)

@@ -1,7 +1,5 @@
 """Rates: by hand, by definition, by mathematics, and by their symmetries."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

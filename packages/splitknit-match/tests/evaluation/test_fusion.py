@@ -1,7 +1,5 @@
 """Fusion of scores: its gain, folds by subject, missing scores, refusals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +13,7 @@ from splitknit_match.evaluation.rates import roc
 from splitknit_match.evaluation.scores import Scores, ids_of
 
 
-def systems(count: int = 3, subjects: int = 30, seed: int = 0, noise: float = 0.6) -> list[Scores]:
+def systems(count=3, subjects=30, seed=0, noise=0.6):
     """Systems of independent errors on different scales; two fingers a subject, two sessions."""
     finger = np.tile(np.arange(2 * subjects), 2)
     session = np.repeat([1, 2], 2 * subjects)
@@ -28,7 +26,7 @@ def systems(count: int = 3, subjects: int = 30, seed: int = 0, noise: float = 0.
     return built
 
 
-def separation(scores: Scores) -> float:
+def separation(scores):
     return roc(scores.genuine, scores.impostor).d_prime()
 
 

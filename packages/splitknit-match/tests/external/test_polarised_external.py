@@ -1,7 +1,5 @@
 """A parallel and a crossed series of a finger that was path-traced outside this project."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,19 +9,17 @@ import pytest
 
 import splitknit
 from script_folder import VALIDATION, scripts_of
-from splitknit.capture import Band, Capture
 from splitknit.cli.main import main
 from splitknit.finger.steady import find_steady_finger
 from splitknit.observation.films import specular_of
 from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
-from splitknit.reconstruction import Reconstruction
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def capture(data_dir: Path) -> Capture:
+def capture(data_dir):
     folder = data_dir / "path_traced" / "polarised" / "d17_pol"
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
@@ -85,7 +81,7 @@ def test_heights_are_measured_where_the_skin_faces_the_camera(capture, data_dir)
     assert 0.7 < figures["error_over_stated"] < 1.2
 
 
-def grey(band: Band) -> Band:
+def grey(band):
     luminance = (band.pixels * np.array([0.2126, 0.7152, 0.0722])).sum(-1, keepdims=True)
     return replace(band, pixels=np.rint(luminance).astype(band.pixels.dtype))
 
@@ -106,7 +102,7 @@ def test_heights_of_grey_photographs_are_measured_where_the_skin_faces_the_camer
     assert figures["ridge_rms_um_15_30"] < 3.5
 
 
-def score(result: Reconstruction, data_dir: Path) -> dict[str, float]:
+def score(result, data_dir):
     """Figures against the truth of the path tracer."""
     with np.load(data_dir / "path_traced" / "polarised" / "d17_pol_truth.npz") as file:
         truth = {name: file[name] for name in file.files}

@@ -41,7 +41,7 @@ def files(data_dir):
     return [folder / f"{finger}_{press}.png" for finger in range(101, 106) for press in KEPT]
 
 
-def gar_at_far_0(files, similarity) -> float:
+def gar_at_far_0(files, similarity):
     scores: dict[bool, list[float]] = {True: [], False: []}
     for i, j in itertools.combinations(range(len(files)), 2):
         scores[files[i].stem[:3] == files[j].stem[:3]].append(similarity(i, j))

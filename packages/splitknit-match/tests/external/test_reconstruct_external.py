@@ -1,10 +1,7 @@
 """Independent photographs through the whole pipeline, with every preset."""
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,13 +12,12 @@ from splitknit.cli.main import main
 from splitknit.io.capture import write_capture
 from splitknit.io.light_list import read_light_list
 from splitknit.io.photographs import GivenPhotographs
-from splitknit.model import BoolArray, Camera, Led, Rig
+from splitknit.model import Camera, Led, Rig
 from splitknit.observation.observe import observe
 from splitknit.observation.plain import capture_from_photographs
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.pipeline import reconstruct
-from splitknit.reconstruction import Reconstruction
 from splitknit.report.result import FILES
 
 pytestmark = pytest.mark.external
@@ -29,14 +25,14 @@ pytestmark = pytest.mark.external
 PRESETS = ("metric", "snk", "pr", "ea")
 
 
-def needed(path: Path) -> Path:
+def needed(path):
     if not path.exists():
         pytest.skip(f"{path} is absent")
     return path
 
 
 @pytest.fixture(scope="module")
-def bear(data_dir: Path) -> tuple[Capture, np.ndarray]:
+def bear(data_dir):
     """DiLiGenT's bear and its scanned normals."""
     with np.load(needed(data_dir / "diligent" / "bear.npz")) as data:
         names = "images", "lights", "mask", "normals"
@@ -45,9 +41,7 @@ def bear(data_dir: Path) -> tuple[Capture, np.ndarray]:
     return opaque_capture(images, directions, 4.0, mask.astype(bool)), normals
 
 
-def opaque_capture(
-    images: np.ndarray, directions: np.ndarray, px_per_mm: float, mask: BoolArray
-) -> Capture:
+def opaque_capture(images, directions, px_per_mm, mask):
     """White images (L, H, W) under distant lights (L, 3)."""
     count = len(images)
     leds = tuple(Led("white", direction=tuple(towards)) for towards in directions.tolist())
@@ -58,7 +52,7 @@ def opaque_capture(
 
 
 @pytest.fixture(scope="module")
-def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
+def ball(data_dir):
     """The grey ball, and the heights in mm of the sphere that its outline gives."""
     folder = needed(data_dir / "psm_spheres")
     lights = read_light_list(folder / "lights.txt").lights
@@ -80,7 +74,7 @@ def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def phalange(data_dir: Path) -> Capture:
+def phalange(data_dir):
     """The sculpted phalange, at a scale that makes it 16 mm wide."""
     folder = needed(data_dir / "blender_finger" / "phalange")
     lights = read_light_list(folder / "lights.txt").lights
@@ -95,7 +89,7 @@ def phalange(data_dir: Path) -> Capture:
     return capture_from_photographs(photographs).capture
 
 
-def assert_complete(result: Reconstruction, mask: BoolArray) -> None:
+def assert_complete(result, mask):
     np.testing.assert_array_equal(result.mask, mask)  # a given mask is used as it is
     for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
         np.testing.assert_array_equal(np.isfinite(field), mask)
@@ -103,7 +97,7 @@ def assert_complete(result: Reconstruction, mask: BoolArray) -> None:
     assert not result.normals[~mask].any()
 
 
-def angle_deg(first: np.ndarray, second: np.ndarray, mask: BoolArray) -> float:
+def angle_deg(first, second, mask):
     return float(np.degrees(np.arccos(np.clip((first * second).sum(axis=-1), -1, 1)))[mask].mean())
 
 
@@ -230,12 +224,12 @@ def test_the_command_line_segments_the_phalange_without_its_mask(phalange, tmp_p
 GEL_PITCH_MM, BALL_RADIUS_MM = 0.00340346, 0.2475
 
 
-def gel_images(folder: Path) -> np.ndarray:
+def gel_images(folder):
     files = [str(folder / f"image{k:02d}.png") for k in range(7, 13)]
     return np.float32([cv2.imread(file, cv2.IMREAD_GRAYSCALE) for file in files])
 
 
-def cap(x: float, y: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+def cap(x, y):
     """Pixels (n,) of a ball within 0.6 of its radius, and its normals (3, n) there."""
     rows, columns = np.mgrid[int(y - 50) : int(y + 50), int(x - 50) : int(x + 50)]
     u, v = np.array([columns - x, y - rows]) * GEL_PITCH_MM / BALL_RADIUS_MM

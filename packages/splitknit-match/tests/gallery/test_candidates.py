@@ -1,7 +1,5 @@
 """Templates that another program keeps, searched in memory as a gallery is."""
 
-from __future__ import annotations
-
 import importlib.util
 import logging
 from pathlib import Path
@@ -17,7 +15,7 @@ PEOPLE = {"ann": 1, "bob": 2, "cid": 3}
 
 
 @pytest.fixture(scope="module")
-def templates() -> dict[str, bytes]:
+def templates():
     return {
         name: splitknit_match.make_template(press(seed), resolution_ppi=PPI).payload or b""
         for name, seed in PEOPLE.items()

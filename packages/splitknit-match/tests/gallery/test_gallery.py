@@ -1,7 +1,5 @@
 """The gallery's file: what is kept, what is gone, what survives, what is refused."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import resource
@@ -12,7 +10,6 @@ import struct
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,7 +33,7 @@ SETTINGS = "5e" * 32
 KEY = Key("0f" * 32)
 
 
-def payload(seed: int) -> bytes:
+def payload(seed):
     """A template of noise: 60 x 50 pixels."""
     rng = np.random.default_rng(seed)
     return pack(
@@ -44,18 +41,18 @@ def payload(seed: int) -> bytes:
     )
 
 
-def new(person: str, seed: int = 0, finger: str = "right_index", session: str = "1") -> NewCapture:
+def new(person, seed=0, finger="right_index", session="1"):
     entry = Entry(person, finger, session, "result", f"{seed:064x}", area_mm2=30.0)
     return NewCapture(entry, payload(seed) if seed >= 0 else b"")
 
 
-def driver(key: Key | None):
+def driver(key):
     """Module that opens galleries with this key."""
     return sqlite3 if key is None else pytest.importorskip("sqlcipher3").dbapi2
 
 
 @pytest.fixture(params=["plain", "encrypted"])
-def key(request) -> Key | None:
+def key(request):
     if request.param == "plain":
         return None
     pytest.importorskip("sqlcipher3")
@@ -63,7 +60,7 @@ def key(request) -> Key | None:
 
 
 @pytest.fixture
-def file(tmp_path, key: Key | None) -> Path:
+def file(tmp_path, key):
     """Ann's two fingers, Bob's two sessions, and a failure to acquire."""
     path = tmp_path / "people.skg"
     with GalleryFile(path, key) as gallery:
@@ -72,7 +69,7 @@ def file(tmp_path, key: Key | None) -> Path:
     return path
 
 
-def people(path: Path, key: Key | None) -> list[str]:
+def people(path, key):
     with GalleryFile(path, key) as gallery:
         return [row.words for row in gallery]
 
@@ -534,7 +531,7 @@ def test_pages_that_no_gallery_has_are_refused(tmp_path):
 
 
 @contextlib.contextmanager
-def full_beyond(size: int) -> Iterator[None]:
+def full_beyond(size):
     """No file can grow beyond `size` bytes, which SQLite reports as a full disk does."""
     before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))

@@ -1,7 +1,5 @@
 """Keys: what counts as one, and where it comes from."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

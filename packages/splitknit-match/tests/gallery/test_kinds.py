@@ -8,7 +8,6 @@ import base64
 import itertools
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -40,7 +39,7 @@ KINDS = ("print", "photo", "scaled photo", "surface", "contactless")
 
 
 @pytest.fixture(scope="module")
-def sources(tmp_path_factory) -> dict[tuple[str, int], Path]:
+def sources(tmp_path_factory):
     """Of each kind two impressions; of all but photographs of one finger."""
     folder = tmp_path_factory.mktemp("kinds")
     files: dict[tuple[str, int], Path] = {}
@@ -67,27 +66,27 @@ def sources(tmp_path_factory) -> dict[tuple[str, int], Path]:
     return files
 
 
-def ppi_of(kind: str) -> float | None:
+def ppi_of(kind):
     return PX_PER_MM * 25.4 if kind == "scaled photo" else None
 
 
 @pytest.fixture(scope="module")
-def templates(sources: dict[tuple[str, int], Path]) -> dict[tuple[str, int], bytes]:
+def templates(sources):
     return {
         (kind, number): make_template(path, resolution_ppi=ppi_of(kind)).payload
         for (kind, number), path in sources.items()
     }
 
 
-def of_match(match: Any) -> tuple[Any, ...]:
+def of_match(match):
     return of_answer(match, match)
 
 
-def of_search(search: Any) -> tuple[Any, ...]:
+def of_search(search):
     return of_answer(search, search.candidates[0])
 
 
-def of_answer(answer: Any, candidate: Any) -> tuple[Any, ...]:
+def of_answer(answer, candidate):
     decision = answer.decision
     return (
         candidate.similarity,
@@ -98,7 +97,7 @@ def of_answer(answer: Any, candidate: Any) -> tuple[Any, ...]:
     )
 
 
-def of_service(facts: dict[str, Any]) -> tuple[Any, ...]:
+def of_service(facts):
     first, decision, basis = facts["candidates"][0], facts["decision"], facts["fmr_basis"]
     return (
         first["similarity"],
@@ -109,10 +108,10 @@ def of_service(facts: dict[str, Any]) -> tuple[Any, ...]:
     )
 
 
-def verified(gallery: splitknit_match.Gallery, template: bytes) -> dict[str, Any]:
+def verified(gallery, template):
     """What the service answers about a probe that is said to be Ann's."""
 
-    async def posted() -> Any:
+    async def posted():
         app = httpx.ASGITransport(make_app(gallery, TOKEN))
         async with httpx.AsyncClient(transport=app, base_url="http://service") as client:
             sent = {"template": base64.b64encode(template).decode(), "person": "Ann"}

@@ -1,8 +1,6 @@
 """The index of minutiae: it finds what comparing all by minutiae finds, in whatever steps it was
 made."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +24,11 @@ CAPTURES = 300
 
 
 def seen(
-    seed: int,
-    turned: float = 0.0,
-    shift: tuple[float, float] = (0.0, 0.0),
-    again: int | None = None,
-) -> bytes:
+    seed,
+    turned=0.0,
+    shift=(0.0, 0.0),
+    again=None,
+):
     """Template of random minutiae; of another press of the same finger, turned and shifted by
     pixels of 500 ppi."""
     rng = np.random.default_rng(seed)
@@ -61,12 +59,12 @@ def seen(
     return pack(Template(np.zeros(valid.shape, np.uint8), valid, 0.1, minutiae))
 
 
-def cylinders(payload: bytes):
+def cylinders(payload):
     return Prepared(unpack(payload)).cylinders
 
 
 @pytest.fixture(scope="module")
-def gallery() -> dict[int, bytes]:
+def gallery():
     return {10 * k: seen(k) for k in range(CAPTURES)}
 
 

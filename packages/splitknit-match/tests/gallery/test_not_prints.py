@@ -1,10 +1,6 @@
 """What is no print of a finger is not acquired, and what is larger than one costs nothing: refused
 before its band."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import cv2
 import numpy as np
 import pytest
@@ -26,23 +22,23 @@ from test_open_gallery import press  # isort: skip
 Grid = np.ndarray
 
 
-def picture(wave: Callable[[Grid, Grid], Grid], seed: int = 0) -> np.ndarray:
+def picture(wave, seed=0):
     """A wave of -1 to 1 on 400 x 400 pixels, with noise."""
     y, x = np.mgrid[:400, :400].astype(np.float32)
     noise = 6 * np.random.default_rng(seed).standard_normal(x.shape)
     return np.clip(127 + 100 * wave(x, y) + noise, 0, 255).astype(np.uint8)
 
 
-def bars(x: Grid, y: Grid) -> Grid:
+def bars(x, y):
     widths = np.random.default_rng(3).integers(1, 4, 400) * 4
     return np.broadcast_to(2.0 * np.repeat(np.arange(400) % 2, widths)[:400] - 1, x.shape)
 
 
-def blocks(x: Grid, y: Grid) -> Grid:
+def blocks(x, y):
     return np.kron(np.random.default_rng(4).integers(0, 2, (50, 50)) * 2.0 - 1, np.ones((8, 8)))
 
 
-def labyrinth(x: Grid, y: Grid) -> Grid:
+def labyrinth(x, y):
     values = np.random.default_rng(5).standard_normal(x.shape).astype(np.float32)
     for _ in range(30):
         narrow, wide = (cv2.GaussianBlur(values, (0, 0), 9 * sigma) for sigma in (0.2, 0.45))

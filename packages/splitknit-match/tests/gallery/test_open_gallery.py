@@ -18,7 +18,7 @@ from splitknit_simulator.finger.master_print import MasterPrintSettings, ink_pri
 PPI = 500.0
 
 
-def press(seed: int, shift: int = 0, noise: float = 0.0) -> np.ndarray:
+def press(seed, shift=0, noise=0.0):
     """A print of a simulated finger, moved by some pixels."""
     master = master_print(
         "left_loop", seed, MasterPrintSettings(half_width_mm=7.0, distal_mm=16.0, proximal_mm=1.0)
@@ -31,7 +31,7 @@ def press(seed: int, shift: int = 0, noise: float = 0.0) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def prints() -> dict[str, np.ndarray]:
+def prints():
     return {
         "ann": press(1),
         "ann again": press(1, 9, 12.0),

@@ -1,8 +1,6 @@
 """The service over HTTP: its acts, its refusals, its audit file, a client made from its OpenAPI
 document."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import json
@@ -16,9 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 from refusals import bad_input
@@ -37,7 +33,7 @@ from test_open_gallery import press  # noqa: E402  isort: skip
 TOKEN = "a-token-of-many-letters"
 
 
-def sent(image: np.ndarray) -> str:
+def sent(image):
     return base64.b64encode(encode_print_png(image, 500.0)).decode()
 
 
@@ -318,7 +314,7 @@ def test_lines_of_the_audit_file_are_short(service, tmp_path):
 
 
 @contextlib.contextmanager
-def served(folder: Path, *words: str, tls: bool = True, before: tuple[str, ...] = ()):
+def served(folder, *words, tls=True, before=()):
     """The command as a process of its own; its port, and where it writes."""
     with socket.socket() as place:
         place.bind(("127.0.0.1", 0))
@@ -348,7 +344,7 @@ def served(folder: Path, *words: str, tls: bool = True, before: tuple[str, ...] 
             process.kill()
 
 
-def certificate(folder: Path) -> list[str]:
+def certificate(folder):
     """Options for TLS with a certificate that is valid for a day."""
     if shutil.which("openssl") is None:
         pytest.skip("no openssl to make a certificate")
@@ -370,7 +366,7 @@ def certificate(folder: Path) -> list[str]:
     return ["--certificate", str(chain), "--certificate-key", str(key)]
 
 
-def connected(port: int, tls: bool) -> socket.socket:
+def connected(port, tls):
     plain = socket.create_connection(("127.0.0.1", port), 10)
     if not tls:
         return plain

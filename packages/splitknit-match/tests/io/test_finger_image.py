@@ -1,8 +1,6 @@
 """Finger image records, byte by byte: written as ISO/IEC 19794-4:2005 has it, read in three
 layouts."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np
@@ -20,9 +18,7 @@ TYPED = bytes.fromhex(
 """One image of a right index, contactless, 500 ppi, not compressed: typed by the tables."""
 
 
-def item(
-    image=SMALL, ppi: float = 500.0, finger: str = "right_index", impression: str = "contactless"
-) -> PrintFile:
+def item(image=SMALL, ppi=500.0, finger="right_index", impression="contactless"):
     return PrintFile(image, ppi, {}, finger, impression)
 
 

@@ -1,7 +1,5 @@
 """Finger images of ISO/IEC 39794-4: DER typed by hand, what comes back, what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +16,7 @@ SMALL = np.arange(120, dtype=np.uint8).reshape(12, 10)
 PGM = b"P5\n10 12\n255\n" + SMALL.tobytes()
 
 
-def tlv(tag: str, *parts: bytes) -> bytes:
+def tlv(tag, *parts):
     content = b"".join(parts)
     size = len(content)
     length = (
@@ -31,7 +29,7 @@ def tlv(tag: str, *parts: bytes) -> bytes:
     return bytes.fromhex(tag) + length + content
 
 
-def typed(*more: bytes, quality: bool = True, image: bytes = PGM) -> bytes:
+def typed(*more, quality=True, image=PGM):
     """A right index, contactless, PGM, quality 63 by algorithm 1 of owner 0x0123, 500 a inch."""
     version = tlv("a0", tlv("80", b"\3"), tlv("81", b"\x07\xe3"))
     scored = tlv(
@@ -50,9 +48,7 @@ def typed(*more: bytes, quality: bool = True, image: bytes = PGM) -> bytes:
     return tlv("64", version, tlv("a1", tlv("30", *fields)))
 
 
-def item(
-    finger: str = "right_index", impression: str = "contactless", ppi: float = 500.0
-) -> PrintFile:
+def item(finger="right_index", impression="contactless", ppi=500.0):
     return PrintFile(SMALL, ppi, {}, finger, impression)
 
 

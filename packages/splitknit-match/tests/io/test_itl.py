@@ -1,8 +1,6 @@
 """Transactions of ANSI/NIST-ITL: what is read of them, what is refused. Their bytes are made by
 hand (fmr_samples)."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
@@ -132,14 +130,13 @@ def test_many_records_take_no_time():
     assert time.process_time() - began < 2
 
 
-def type_4(
-    finger: int = 2, scale: int = 0, code: int = 0, pixels: bytes = SMALL.tobytes()
-) -> bytes:
-    body = bytes([1, 1, finger, 255, 255, 255, 255, 255, scale, 0, 12, 0, 10, code]) + pixels
+def type_4(finger=2, scale=0, code=0, pixels=SMALL):
+    head = bytes([1, 1, finger, 255, 255, 255, 255, 255, scale, 0, 12, 0, 10, code])
+    body = head + bytes(pixels)
     return (4 + len(body)).to_bytes(4, "big") + body
 
 
-def with_type_4(*records: bytes) -> bytes:
+def with_type_4(*records):
     content = b"1\x1f%d" % len(records) + b"".join(
         b"\x1e4\x1f%d" % (number + 1) for number in range(len(records))
     )

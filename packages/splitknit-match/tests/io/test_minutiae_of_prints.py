@@ -1,13 +1,10 @@
 """From a print to a record: minutiae as mindtct finds them, in the frame that the standards ask
 for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from splitknit_match.prints.minutiae import extract
-from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.records.fmr_bytes import ANSI_2004
 from splitknit_match.records.minutiae_files import encode_minutiae_record
 from splitknit_match.records.minutiae_record import FingerView
@@ -15,7 +12,7 @@ from splitknit_match.records.minutiae_record import FingerView
 pytest.importorskip("nbis")
 
 
-def view_of(minutiae: Minutiae) -> FingerView:
+def view_of(minutiae):
     return FingerView(
         minutiae.x_px,
         minutiae.y_px,

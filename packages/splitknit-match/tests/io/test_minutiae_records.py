@@ -1,7 +1,5 @@
 """Records of minutiae of ISO/IEC 19794-2:2005 and ANSI/INCITS 378, byte for byte."""
 
-from __future__ import annotations
-
 import time
 import tracemalloc
 
@@ -31,7 +29,7 @@ from splitknit_match.records.minutiae_record import FingerView
 SAMPLES = {ISO_2005: ISO_BYTES, ANSI_2004: ANSI_BYTES, ANSI_2009: ANSI_2009_BYTES}
 
 
-def changed(data: bytes, place: int, *values: int) -> bytes:
+def changed(data, place, *values):
     return data[:place] + bytes(values) + data[place + len(values) :]
 
 

@@ -1,10 +1,7 @@
 """Prints of 500 and 1000 ppi as PNG and TIFF: pixels and resolution, also as other programs see
 them."""
 
-from __future__ import annotations
-
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,13 +14,13 @@ from splitknit_match.records.print_formats import read_prints
 IMAGE = np.random.default_rng(3).integers(0, 256, (31, 23)).astype(np.uint8)
 
 
-def read(path: Path) -> PrintFile:
+def read(path):
     (print_file,) = read_prints(path)
     assert isinstance(print_file, PrintFile)
     return print_file
 
 
-def write_tiff(path: Path, *print_and_facts) -> None:
+def write_tiff(path, *print_and_facts):
     path.write_bytes(encode_print_tiff(*print_and_facts))
 
 

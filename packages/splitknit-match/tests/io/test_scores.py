@@ -1,9 +1,6 @@
 """Score files: what is read, and one sentence with the line for what is not."""
 
-from __future__ import annotations
-
 import hashlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +9,7 @@ from refusals import bad_input
 from splitknit_match.evaluation.scores import read_scores
 
 
-def write(folder: Path, text: str | bytes) -> Path:
+def write(folder, text):
     path = folder / "scores.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path

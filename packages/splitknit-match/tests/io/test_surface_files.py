@@ -1,10 +1,7 @@
 """Surfaces for other programs: colours, models with a texture, closed solids, maps."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +11,6 @@ from PIL import Image
 import splitknit
 from splitknit.imaging.pixels import GREY_WEIGHTS
 from splitknit.io.provenance import provenance
-from splitknit.reconstruction import Reconstruction
 from splitknit_match.records import surface_files
 from splitknit_match.records.surface_files import map_files, surface_bytes
 from written_files import read_ply
@@ -26,7 +22,7 @@ COLOURS = np.where((X > 0)[..., None], (0.8, 0.3, 0.1), (0.1, 0.4, 0.7))
 
 
 @pytest.fixture(scope="module")
-def dome() -> Reconstruction:
+def dome():
     """A glossy dome of two colours with bumps, from colour photographs under eight lights."""
     height = 0.6 * np.sqrt(1.9 - X**2 - Y**2, where=MASK, out=np.zeros_like(X))
     height += 0.004 * np.cos(30 * X) * np.cos(30 * Y)
@@ -44,7 +40,7 @@ def dome() -> Reconstruction:
     return splitknit.reconstruct_images(np.round(light * 65535).astype(np.uint16), lights, MASK, 9)
 
 
-def loaded(data: bytes, kind: str) -> Any:
+def loaded(data, kind):
     trimesh = pytest.importorskip("trimesh")
     return trimesh.load(io.BytesIO(data), kind, force="mesh", process=kind == "stl")
 

@@ -1,14 +1,11 @@
 """WSQ: what comes back, what is refused, and that nothing takes this process down."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from refusals import bad_input
 from splitknit.errors import BadInput
@@ -18,7 +15,7 @@ from splitknit_match.records.wsq_image import _wsq_header, decode_wsq, encode_ws
 pytest.importorskip("_wsq")
 
 
-def ridges(rows: int = 200, columns: int = 160) -> NDArray[np.uint8]:
+def ridges(rows=200, columns=160):
     """Circular ridges of nine pixels, as at 500 ppi, fading towards the edges."""
     y, x = np.mgrid[:rows, :columns]
     wave = np.cos(2 * np.pi * np.hypot(x - columns / 3, y - rows * 0.7) / 9)
@@ -27,11 +24,11 @@ def ridges(rows: int = 200, columns: int = 160) -> NDArray[np.uint8]:
 
 
 @pytest.fixture(scope="module")
-def sound() -> bytes:
+def sound():
     return encode_wsq(ridges())
 
 
-def psnr_db(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+def psnr_db(a, b):
     return float(10 * np.log10(255**2 / max(np.mean((a.astype(float) - b) ** 2), 1e-9)))
 
 
@@ -75,7 +72,7 @@ def test_other_images_are_refused(image, ppi, words):
         encode_wsq(image, ppi)
 
 
-def changed(data: bytes, place: int, *values: int) -> bytes:
+def changed(data, place, *values):
     result = bytearray(data)
     result[place : place + len(values)] = bytes(values)
     return bytes(result)

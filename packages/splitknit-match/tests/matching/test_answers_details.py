@@ -1,7 +1,5 @@
 """Answers and rates of comparisons, and the lines that people read."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -54,7 +52,7 @@ TABLE = FmrTable(
 )
 
 
-def ridges(**changes: object) -> MatchOfRidges:
+def ridges(**changes):
     match = MatchOfRidges(
         method="ridge",
         a=LEFT,
@@ -406,7 +404,7 @@ def test_own_rates_come_back_from_their_file(tmp_path):
     assert read_own_rates(path).rated_mm2 == 0
 
 
-def side_of(kind: str, lacks: str = "") -> Side:
+def side_of(kind, lacks=""):
     return Side(Path("x.png"), kind, template=replace(failed_template(), lacks=lacks))
 
 

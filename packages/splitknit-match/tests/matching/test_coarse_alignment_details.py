@@ -1,7 +1,5 @@
 """Coarse alignment: near alignments, every pose, the likely one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -20,7 +18,7 @@ from splitknit_match.matching.elastic import rigid
 from splitknit_match.matching.ridge_band import RidgeBand
 
 
-def texture(seed: int, rows: int, columns: int) -> RidgeBand:
+def texture(seed, rows, columns):
     """Ridges of two waves whose directions change, so that each place is its own."""
     noise = np.random.default_rng(seed).normal(size=(rows, columns)).astype(np.float32)
     value = cv2.GaussianBlur(noise, (0, 0), 1.5) - cv2.GaussianBlur(noise, (0, 0), 2.5)
@@ -33,7 +31,7 @@ def test_no_band_makes_no_numbers_that_are_not_finite():
     assert np.isfinite(CoarseViews(nothing).directions).all()
 
 
-def turned_band(band: RidgeBand, angle_deg: float, right_mm: float, up_mm: float) -> RidgeBand:
+def turned_band(band, angle_deg, right_mm, up_mm):
     """The band, turned about its middle and moved."""
     rows, columns = band.value.shape
     matrix = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), angle_deg, 1.0)
@@ -78,7 +76,7 @@ def test_the_likely_alignment_is_the_true_one(angle_deg, right_mm, up_mm):
     np.testing.assert_allclose(corners @ alignments[0].T, corners @ true.T, atol=2.0)
 
 
-def circles() -> RidgeBand:
+def circles():
     """Ridges around a centre that is off the middle, some of them broken."""
     y, x = np.mgrid[:200, :180]
     phase = 1.4 * np.hypot(x - 70, 0.7 * (y - 120)) + np.arctan2(y - 60, x - 110)

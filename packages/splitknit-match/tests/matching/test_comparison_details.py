@@ -31,13 +31,13 @@ RIDGES = RidgeMatch(0.5, 0.6, 150.0, 3.0, 1.0, -2.0, compared=True)
 FUSED = _FusedMatch(7.0, 12.0, RIDGES, (0.5, 0.6, 12.0, math.nan))
 
 
-def some_minutiae(count: int = 12) -> Minutiae:
+def some_minutiae(count=12):
     x = np.arange(count, dtype=np.int32)
     kind = np.ones(count, np.uint8)
     return Minutiae(x, x, x * (np.pi / 16), kind, 50 * kind, (216, 196))
 
 
-def side_of(kind: str, name: str = "a.png", **changes: Any) -> Side:
+def side_of(kind, name="a.png", **changes):
     template = Template(
         np.zeros((110, 100), np.uint8), np.ones((110, 100), bool), 0.1, some_minutiae()
     )
@@ -50,11 +50,11 @@ SURFACE = Surface(*[np.zeros((2, 2))] * 4, 0.1, np.eye(3), (2, 2))  # type: igno
 
 
 @pytest.fixture
-def rated(monkeypatch) -> list[tuple[Any, ...]]:
+def rated(monkeypatch):
     """What rates were asked for; comparisons are replaced by fixed results."""
     asked: list[tuple[Any, ...]] = []
 
-    def rate(*values: Any) -> Rated:
+    def rate(*values):
         asked.append(values)
         decision = MatchDecision(True, 1e-4, 0.1)
         return Rated(fmr=1e-4, decision=decision, answer="match")
@@ -67,7 +67,7 @@ def rated(monkeypatch) -> list[tuple[Any, ...]]:
     return asked
 
 
-def compared(method: str, a: Side, b: Side, **changes: Any) -> Any:
+def compared(method, a, b, **changes):
     options = {"fmr": 0.01, "own": None, "thesis": ThesisSettings()}
     return methods.compare_sides(method, a, b, **options | changes)
 
@@ -217,7 +217,7 @@ def test_images_of_surfaces_are_compared(rated, monkeypatch):
         )
 
 
-def no_match(monkeypatch, answer: str = "no match") -> None:
+def no_match(monkeypatch, answer="no match"):
     rated = Rated(fmr=0.2, decision=MatchDecision(False, 1e-4, 0.1), answer=answer)
     monkeypatch.setattr(methods, "rate", lambda *values: rated)
 
@@ -292,19 +292,19 @@ def test_a_template_file_is_written_beside_its_inputs(tmp_path):
 
 
 @pytest.fixture
-def reads(monkeypatch) -> list[tuple[Any, ...]]:
+def reads(monkeypatch):
     """What was read: files named ``photo`` are photographs."""
     asked: list[tuple[Any, ...]] = []
 
     def read(
-        finger: Path,
-        preset: str,
-        progress: Any,
-        ppi: Any = None,
+        finger,
+        preset,
+        progress,
+        ppi=None,
         *,
-        ridges: str | None = None,
-        where: Any = None,
-    ) -> Side:
+        ridges=None,
+        where=None,
+    ):
         asked.append((finger, preset, ppi, where))
         progress("reading", 0.1)
         return side_of("print", str(finger))

@@ -1,7 +1,5 @@
 """Patches of two ridge bands: known shifts, plain sums, the affine fit, bends."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -11,7 +9,6 @@ import pytest
 from splitknit_match.matching import elastic
 from splitknit_match.matching.elastic import (
     Agreement,
-    PatchGrid,
     better_affine,
     compare_patches,
     patch_grid,
@@ -22,7 +19,7 @@ from splitknit_match.matching.ridge_band import RidgeBand
 IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
-def texture(seed: int, rows: int = 160, columns: int = 140, invalid: int = 0) -> RidgeBand:
+def texture(seed, rows=160, columns=140, invalid=0):
     noise = np.random.default_rng(seed).normal(size=(rows, columns)).astype(np.float32)
     value = cv2.GaussianBlur(noise, (0, 0), 1.2) - cv2.GaussianBlur(noise, (0, 0), 3.0)
     valid = np.ones(value.shape, bool)
@@ -85,12 +82,12 @@ def test_shifts_by_chance_have_no_support():
 
 
 @pytest.fixture(scope="module")
-def band() -> RidgeBand:
+def band():
     return texture(8, 83, 67, invalid=11)
 
 
 @pytest.fixture(scope="module")
-def patches(band: RidgeBand) -> PatchGrid:
+def patches(band):
     return patch_grid(band)
 
 
@@ -158,7 +155,7 @@ def test_flat_patches_do_not_count_for_more_than_they_show(patches):
     assert np.abs(compare_patches(faint, zero, IDENTITY).correlation).max() < 0.01
 
 
-def agreement_of(shift: np.ndarray, correlation: np.ndarray | float = 0.8) -> Agreement:
+def agreement_of(shift, correlation=0.8):
     count = len(shift)
     full = np.full(count, correlation, np.float32)
     return Agreement(np.arange(count), full, shift, np.ones(count, np.float32))

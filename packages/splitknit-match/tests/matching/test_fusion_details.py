@@ -1,7 +1,5 @@
 """Ridges and minutiae of two prints: places, evidence, scales, and the order of sides."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -17,7 +15,7 @@ from splitknit_match.matching.template import Template, leveled, print_size, sca
 from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
 
 
-def print_of(seed: int, rows: int = 150, columns: int = 130, minutiae: int = 20) -> Template:
+def print_of(seed, rows=150, columns=130, minutiae=20):
     """Curved ridges with faults, and minutiae at random places."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:rows, :columns]
@@ -29,7 +27,7 @@ def print_of(seed: int, rows: int = 150, columns: int = 130, minutiae: int = 20)
     return replace(template, minutiae=minutiae_of(template, seed, minutiae))
 
 
-def minutiae_of(template: Template, seed: int, count: int) -> Minutiae:
+def minutiae_of(template, seed, count):
     rng = np.random.default_rng(seed)
     rows, columns = print_size(template)
     y, x = rng.integers(0, rows, count), rng.integers(0, columns, count)
@@ -43,7 +41,7 @@ def minutiae_of(template: Template, seed: int, count: int) -> Minutiae:
 
 
 @pytest.fixture(scope="module")
-def side() -> Template:
+def side():
     return print_of(1)
 
 
@@ -77,7 +75,7 @@ def test_little_overlap_lowers_the_similarity(side, overlap_mm2, smaller_mm2, fa
         assert result.compared
 
 
-def turned(template: Template, angle_rad: float, right_mm: float, up_mm: float) -> Template:
+def turned(template, angle_rad, right_mm, up_mm):
     """The print, turned and moved, its minutiae with it."""
     rows, columns = template.valid.shape
     matrix = cv2.getRotationMatrix2D(
@@ -183,7 +181,7 @@ def test_prints_of_two_scales_are_doubted(monkeypatch):
     assert decided[0][3:] == (0.02, "own")
 
 
-def bent(template: Template) -> Template:
+def bent(template):
     """The print on skin that is pulled to one side, more so towards its end."""
     rows, columns = template.valid.shape
     y, x = np.mgrid[:rows, :columns].astype(np.float32)
@@ -192,7 +190,7 @@ def bent(template: Template) -> Template:
 
 
 @pytest.fixture(scope="module")
-def pairs() -> dict[str, tuple[Template, Template]]:
+def pairs():
     whole, part = print_of(3), print_of(3, 90, 80)
     return {
         "moved": (whole, turned(whole, 0.25, 1.0, -0.5)),

@@ -1,7 +1,5 @@
 """The preset `kumar`: `ea`, smoothed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

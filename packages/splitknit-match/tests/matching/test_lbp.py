@@ -1,7 +1,5 @@
 """Local binary patterns: codes against scikit-image and loops, histograms against counting."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pairs of minutiae against plain loops: cylinders, similarities, fits and alignments."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -24,7 +22,7 @@ from splitknit_match.prints.minutiae_record import PPI, Minutiae
 PITCH_MM = 0.1
 
 
-def minutiae_at(places: list[tuple[float, float, float]], size: tuple[int, int]) -> Minutiae:
+def minutiae_at(places, size):
     """Minutiae at columns and rows, with directions in degrees."""
     x, y, direction = np.array(places).T
     count = len(places)
@@ -38,7 +36,7 @@ def minutiae_at(places: list[tuple[float, float, float]], size: tuple[int, int])
     )
 
 
-def constellation(seed: int, count: int = 14) -> list[tuple[float, float, float]]:
+def constellation(seed, count=14):
     rng = np.random.default_rng(seed)
     return [
         (float(x), float(y), float(d))
@@ -47,7 +45,7 @@ def constellation(seed: int, count: int = 14) -> list[tuple[float, float, float]
 
 
 @pytest.fixture(scope="module")
-def cylinders() -> Cylinders:
+def cylinders():
     valid = np.ones((152, 152), bool)
     valid[:, :40] = False
     return minutia_cylinders(minutiae_at(constellation(1), (300, 300)), valid, PITCH_MM)
@@ -115,7 +113,7 @@ def test_minutiae_agree_one_with_one():
     assert agreeing(twice, (places[:1], turns[:1])) == pytest.approx(math.exp(-0.25))
 
 
-def laid(seed: int, angle_rad: float, shift: complex, count: int = 14) -> Cylinders:
+def laid(seed, angle_rad, shift, count=14):
     """Cylinders of a constellation, turned and moved in the camera's view."""
     valid = np.ones((152, 152), bool)
     cylinders = minutia_cylinders(minutiae_at(constellation(seed), (300, 300)), valid, PITCH_MM)

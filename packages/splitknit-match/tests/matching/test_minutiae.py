@@ -1,7 +1,5 @@
 """Minutiae: extracted where they are, compared, packed and read again."""
 
-from __future__ import annotations
-
 import builtins
 from dataclasses import replace
 
@@ -21,7 +19,6 @@ from splitknit_match.prints.minutiae_record import (
     unpack_minutiae,
 )
 from splitknit_simulator.finger.master_print import (
-    MasterPrint,
     MasterPrintSettings,
     ink_print,
     master_print,
@@ -38,7 +35,7 @@ def nbis():
 
 
 @pytest.fixture(scope="module")
-def masters() -> list[MasterPrint]:
+def masters():
     return [
         master_print(pattern, seed, SMALL)
         for seed, pattern in enumerate(("whorl", "left_loop", "right_loop"), 41)
@@ -46,7 +43,7 @@ def masters() -> list[MasterPrint]:
 
 
 @pytest.fixture(scope="module")
-def prints(masters: list[MasterPrint]) -> list[np.ndarray]:
+def prints(masters):
     """Three fingers, and the first one once more, turned and shifted."""
     fingers = [np.pad(ink_print(master), BORDER, constant_values=255) for master in masters]
     turn = cv2.getRotationMatrix2D((170, 220), 12.0, 1.0)
@@ -57,12 +54,12 @@ def prints(masters: list[MasterPrint]) -> list[np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def minutiae(nbis, prints: list[np.ndarray]) -> list[Minutiae]:
+def minutiae(nbis, prints):
     """Of each print."""
     return [extract(image) for image in prints]
 
 
-def random_minutiae(count: int, seed: int = 0, size: tuple[int, int] = (380, 360)) -> Minutiae:
+def random_minutiae(count, seed=0, size=(380, 360)):
     rng = np.random.default_rng(seed)
     return Minutiae(
         rng.integers(0, size[1], count).astype(np.int32),

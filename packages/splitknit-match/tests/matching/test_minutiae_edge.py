@@ -1,7 +1,5 @@
 """Where a print is cut off, every ridge ends: those ends are no minutiae."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Minutiae and ridges of two prints as one score."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -125,11 +123,11 @@ def test_nothing_to_compare_is_the_lowest_score(templates):
     assert match.similarity < -5
 
 
-def with_minutiae(template: Template, count: int = 30) -> Template:
+def with_minutiae(template, count=30):
     return replace(template, minutiae=random_minutiae(count, print_size(template)))
 
 
-def random_minutiae(count: int, size: tuple[int, int]) -> Minutiae:
+def random_minutiae(count, size):
     rng = np.random.default_rng(3)
     x, y = (rng.permutation(side - 1)[:count].astype(np.int32) for side in size[::-1])
     order = np.lexsort((y, x))

@@ -1,7 +1,5 @@
 """The ridge matcher on simulated fingers and on templates whose alignment is known."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from unittest.mock import Mock
@@ -108,7 +106,7 @@ def test_sides_must_have_the_same_pitch(templates):
         ridge_match(replace(templates[0], pitch_mm=0.2), templates[1])
 
 
-def moved(template: Template, angle_deg: float, right_mm: float, up_mm: float) -> Template:
+def moved(template, angle_deg, right_mm, up_mm):
     """The template turned (counter-clockwise) and shifted on a larger canvas."""
     height, width = template.valid.shape
     side = 2 * max(height, width)
@@ -123,7 +121,7 @@ def moved(template: Template, angle_deg: float, right_mm: float, up_mm: float) -
     return make_template(RidgeBand(value, valid, template.pitch_mm))
 
 
-def window(template: Template, rows: slice, columns: slice) -> Template:
+def window(template, rows, columns):
     """A part of a template."""
     return Template(template.level[rows, columns], template.valid[rows, columns], template.pitch_mm)
 

@@ -1,7 +1,5 @@
 """The ridge band: pitch, direction, contrast, unrolling, skin without ridges."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from splitknit_match.matching.ridge_band import band_places, print_band, ridge_b
 PITCH = 0.05
 
 
-def stripes(turn: float, period_mm: float = 0.45, side: int = 300) -> np.ndarray:
+def stripes(turn, period_mm=0.45, side=300):
     """Ridges whose normal points `turn` counter-clockwise from x."""
     rows, columns = np.mgrid[0:side, 0:side]
     across = columns * np.cos(turn) - rows * np.sin(turn)
@@ -76,7 +74,7 @@ INNER = np.s_[30:-30, 30:-30]
 ALL = np.ones((SIDE, SIDE), bool)
 
 
-def wave(angle_rad: float, period_mm: float = 0.5) -> np.ndarray:
+def wave(angle_rad, period_mm=0.5):
     y, x = np.mgrid[:SIDE, :SIDE] * PITCH_MM
     across = x * np.cos(angle_rad) - y * np.sin(angle_rad)
     return np.sin(2 * np.pi / period_mm * across).astype(np.float32)
@@ -224,7 +222,7 @@ def test_bad_surfaces_are_refused_by_name():
     assert ridge_band(relief, mask, 0.1, None, np.eye(3), (5000, 1)).valid.shape == (5000, 1)
 
 
-def picture(contrast: float) -> np.ndarray:
+def picture(contrast):
     """A print whose left third (right third, as a camera sees it) is weak."""
     ink = wave(0.5) * 100
     ink[:, :80] *= contrast

@@ -39,13 +39,13 @@ class Pressed:
     weight: np.ndarray
 
 
-def waves(rows: int = 300, columns: int = 260) -> np.ndarray:
+def waves(rows=300, columns=260):
     x = np.arange(columns) * 25.4 / PPI
     line = 127 + 90 * np.sin(2 * np.pi * x / 0.5)
     return np.broadcast_to(line, (rows, columns)).astype(np.uint8).copy()
 
 
-def some_minutiae(count: int, size: tuple[int, int] = (300, 260)) -> Minutiae:
+def some_minutiae(count, size=(300, 260)):
     x = 60 + np.arange(count, dtype=np.int32) % 100
     y = 60 + np.arange(count, dtype=np.int32) // 100
     kind = np.ones(count, np.uint8)
@@ -53,7 +53,7 @@ def some_minutiae(count: int, size: tuple[int, int] = (300, 260)) -> Minutiae:
 
 
 @pytest.fixture
-def finder(monkeypatch) -> dict[str, Any]:
+def finder(monkeypatch):
     """Ridges, their weights and minutiae that are found; and what they were sought in."""
     weight = np.zeros((300, 260))
     weight[30:270, 20:240] = 0.5
@@ -61,7 +61,7 @@ def finder(monkeypatch) -> dict[str, Any]:
         "ridges": Ridges(), "weight": weight, "minutiae": some_minutiae(30), "sought": [],
     }  # fmt: skip
 
-    def press(item: PrintFile, *, pressed: Ridges) -> Pressed:
+    def press(item, *, pressed):
         state["sought"].append((item.image.shape, item.resolution_ppi, pressed))
         return Pressed(state["weight"])
 
@@ -143,11 +143,11 @@ def test_ridges_of_a_photograph_stand_for_its_picture(finder):
 
 
 @pytest.fixture
-def prints_made(monkeypatch) -> list[tuple[np.ndarray, Any]]:
+def prints_made(monkeypatch):
     """Pictures that templates were made of."""
     pictures: list[tuple[np.ndarray, Any]] = []
 
-    def template(image: np.ndarray, *, pressed: Any = None, kind: str) -> Any:
+    def template(image, *, pressed=None, kind):
         pictures.append((image, pressed))
         return replace(failed_template(), kind=kind)
 

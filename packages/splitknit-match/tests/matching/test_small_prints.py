@@ -1,12 +1,8 @@
 """Small prints: the overlap decides which rates are stated."""
 
-from __future__ import annotations
-
 import json
 import warnings
-from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,35 +15,35 @@ from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import fmr_basis, rate, scores_of, similarity_at
 from splitknit_match.matching.score import read_own_rates
-from splitknit_match.matching.template import VERSION, Template, leveled, pack, print_size, unpack
+from splitknit_match.matching.template import VERSION, leveled, pack, print_size, unpack
 from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae, pack_minutiae
 from splitknit_match.records.templates import write_template
 
 
-def cut(template: Template, top: int, left: int, side: int) -> Template:
+def cut(template, top, left, side):
     """A square of a template, without minutiae."""
     part = np.s_[top : top + side, left : left + side]
     square = replace(template, level=template.level[part].copy(), valid=template.valid[part].copy())
     return without_minutiae(square)
 
 
-def without_minutiae(template: Template) -> Template:
+def without_minutiae(template):
     return replace(template, minutiae=no_minutiae(print_size(template)))
 
 
-def template_file(path: Path, template: Template) -> str:
+def template_file(path, template):
     write_template(path, pack(template), VERSION)
     return str(path)
 
 
-def calibration(tmp_path, impostors: Iterable[float], genuine: float) -> list[str]:
+def calibration(tmp_path, impostors, genuine):
     """Arguments that write rates of impostor scores, and of twenty genuine ones."""
     lines = ["label,score", *(f"0,{score:.4f}" for score in impostors), *[f"1,{genuine}"] * 20]
     (tmp_path / "scores.csv").write_text("\n".join(lines) + "\n")
     return calibrate(tmp_path, "--scores", "scores.csv")
 
 
-def calibrate(tmp_path, option: str, source: str) -> list[str]:
+def calibrate(tmp_path, option, source):
     files = {option: source, "--calibrate": "own.json", "--out": "report"}
     words = [word for option, name in files.items() for word in (option, str(tmp_path / name))]
     return ["evaluate", *words, "--replicates", "20"]
@@ -108,7 +104,7 @@ def test_a_scrap_of_a_print_is_not_acquired_and_gives_no_warning(tmp_path):
 
 
 @pytest.fixture
-def files(templates, tmp_path) -> dict[str, str]:
+def files(templates, tmp_path):
     """Templates of a whole finger, of two parts of it, and of another finger."""
     by_name = {
         "whole": without_minutiae(templates[0]),
@@ -208,7 +204,7 @@ def test_own_rates_of_a_gallery_name_what_compared(method, tmp_path, capsys):
     assert read_own_rates(tmp_path / "own.json").method == method
 
 
-def ridges(seed: int) -> Template:
+def ridges(seed):
     """Ridges that run anywhere, 14 x 14 mm."""
     noise = np.random.default_rng(seed).normal(size=(140, 140)).astype(np.float32)
     value = cv2.GaussianBlur(noise, (0, 0), 1.1) - cv2.GaussianBlur(noise, (0, 0), 1.8)

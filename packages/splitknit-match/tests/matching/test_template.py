@@ -1,7 +1,5 @@
 """Templates of the ridge matcher: levels, packing, damage."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 
@@ -94,12 +92,12 @@ def test_ten_times_the_relief_is_the_same_template(impressions):
     assert np.mean(a.level == b.level) > 0.999
 
 
-def full(rows: int, columns: int, pitch_mm: float = 0.1) -> Template:
+def full(rows, columns, pitch_mm=0.1):
     level = np.random.default_rng(1).integers(0, 4, (rows, columns)).astype(np.uint8)
     return Template(level, np.ones((rows, columns), bool), pitch_mm)
 
 
-def minutiae_at(places: list[tuple[int, int]], size: tuple[int, int]) -> Minutiae:
+def minutiae_at(places, size):
     x, y = np.array(places, np.int32).T
     count = len(places)
     return Minutiae(
@@ -126,7 +124,7 @@ def test_levels_and_their_values():
     assert template.area_mm2 == pytest.approx(7 * 0.04)
 
 
-def band_of(rows: int, columns: int, pitch_mm: float = 0.1) -> RidgeBand:
+def band_of(rows, columns, pitch_mm=0.1):
     value = np.random.default_rng(1).normal(size=(rows, columns)).astype(np.float32)
     return RidgeBand(value, np.ones((rows, columns), bool), pitch_mm)
 

@@ -1,7 +1,5 @@
 """The thesis's matcher: alignment, gate, score."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +15,7 @@ from splitknit_match.matching.thesis import (
 NO_GATE = ThesisSettings(gate=0.0)
 
 
-def ellipse(rows: int, columns: int) -> np.ndarray:
+def ellipse(rows, columns):
     y, x = np.mgrid[0:rows, 0:columns]
     return ((x - (columns - 1) / 2) / (columns / 2)) ** 2 + ((y - (rows - 1)) / rows) ** 2 < 1
 

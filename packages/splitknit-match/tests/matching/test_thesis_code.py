@@ -11,7 +11,7 @@ from splitknit_match.matching.thesis import NORMALS, FingerImages
 from splitknit_match.matching.thesis_code import NEIGHBOURS, code_match, code_side, pattern_labels
 
 
-def finger(seed: int, px_per_mm: float = 75.7, columns: int = 100) -> FingerImages:
+def finger(seed, px_per_mm=75.7, columns=100):
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[0:130, 0:columns]
     mask = ((x - columns / 2) / (columns / 2)) ** 2 + ((y - 129) / 129) ** 2 < 1

@@ -1,7 +1,5 @@
 """The thesis's matchers, step by step against plain loops."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -35,14 +33,12 @@ PX_PER_MM = 20.0
 NAMES = ("relief", *NORMALS, *(f"shape_{name}" for name in NORMALS))
 
 
-def ellipse(rows: int, columns: int, middle: float) -> np.ndarray:
+def ellipse(rows, columns, middle):
     y, x = np.mgrid[:rows, :columns]
     return ((x - middle) / (columns / 2)) ** 2 + ((y - rows) / rows) ** 2 < 1
 
 
-def finger(
-    seed: int, rows: int = 90, columns: int = 70, px_per_mm: float = PX_PER_MM
-) -> FingerImages:
+def finger(seed, rows=90, columns=70, px_per_mm=PX_PER_MM):
     mask = ellipse(rows, columns, columns / 2)
     rng = np.random.default_rng(seed)
     channels = {
@@ -270,7 +266,7 @@ def test_the_authors_matcher_refuses_what_it_cannot_compare():
     assert code_match(code_side(finger(1, 8, 8)), side).compared
 
 
-def surface(whole: bool) -> Surface:
+def surface(whole):
     side = 240
     y, x = np.mgrid[:side, :side] * 0.05
     ridge = (0.03 * np.sin(2 * np.pi * (x * 0.9 + y * 0.4) / 0.5)).astype(np.float32)
@@ -317,7 +313,7 @@ def test_a_surface_is_matched_upright():
     assert surface_template(steep).area_mm2 < 60
 
 
-def blunt(tip: int) -> np.ndarray:
+def blunt(tip):
     """A mask of 100 x 100 pixels whose first row has one alone."""
     mask = np.ones((100, 100), bool)
     mask[0] = False

@@ -1,8 +1,5 @@
 """A finger between mirrors, rolled from the true masks and mirrors, against its formulas."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,32 +11,32 @@ from splitknit.capture import Capture
 from splitknit.finger.locate import FingerSettings
 from splitknit.skin.images import MetricSettings
 from splitknit_match.prints.rolled import _coverage_deg
-from splitknit_match.rolled.finger import Rolled, rolled_finger
+from splitknit_match.rolled.finger import rolled_finger
 from splitknit_match.rolled.register import ridges_of
 from splitknit_match.rolled.views import find_mirror_views
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick() -> Iterator[None]:
+def quick():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("splitknit_match.rolled.finger.PITCH_MM", 0.07)
         yield
 
 
 @pytest.fixture(scope="module")
-def finger() -> Rolled:
+def finger():
     capture, masks = scene.capture()
     return rolled_finger(capture, scene.views_of(capture, masks), MetricSettings())
 
 
-def truth_of(finger: Rolled) -> tuple[np.ndarray, np.ndarray]:
+def truth_of(finger):
     """True relief at the finger's points, and the slant of the skin there (deg)."""
     points = finger.points_mm.astype(np.float64) - np.array([0.0, 2.0, 0.0])
     normals, _ = scene.bumped(points)
     return scene.ridges(points), np.rad2deg(np.arctan2(normals[..., 0], normals[..., 2]))
 
 
-def ridges_and_slant(finger: Rolled) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ridges_and_slant(finger):
     """Measured and true ridges, and the slant of the skin (deg, positive to the right)."""
     true, slant = truth_of(finger)
     blended, pitch = finger.blended, finger.chart.pitch_mm
@@ -49,11 +46,11 @@ def ridges_and_slant(finger: Rolled) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return measured, there, slant
 
 
-def straight_rows(finger: Rolled) -> np.ndarray:
+def straight_rows(finger):
     return (finger.chart.length_mm < 0) & (finger.chart.length_mm > -12)
 
 
-def assert_true_ridges(finger: Rolled, least: float) -> None:
+def assert_true_ridges(finger, least):
     measured, true, slant = ridges_and_slant(finger)
     straight = finger.blended.known & straight_rows(finger)[:, None]
     for low, high in ((-90, -60), (-60, -30), (-30, 0), (0, 30), (30, 60), (60, 90)):
@@ -64,7 +61,7 @@ def assert_true_ridges(finger: Rolled, least: float) -> None:
         assert np.corrcoef(measured[where], true[where])[0, 1] > least, (low, high)
 
 
-def assert_covers_both_sides(finger: Rolled) -> None:
+def assert_covers_both_sides(finger):
     normals, rows, blended = (
         finger.normals.astype(np.float64),
         straight_rows(finger),

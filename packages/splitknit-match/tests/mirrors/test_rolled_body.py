@@ -1,8 +1,6 @@
 """The body between its mirrors, by outlines that formulas draw: also where the picture's border
 cuts a view."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -23,15 +21,15 @@ MIRRORS = {mirror.name: mirror for mirror in RIG.mirrors}
 
 
 @pytest.fixture(scope="module")
-def masks() -> dict[str, np.ndarray]:
+def masks():
     return scene.capture()[1]
 
 
-def views(front: np.ndarray, **sides: np.ndarray) -> Views:
+def views(front, **sides):
     return Views(front, sides, 1)
 
 
-def rms_mm(body) -> float:
+def rms_mm(body):
     """Distance from the drawn finger, around its straight part."""
     shape = _shape_of(body)
     rows = (shape.chart.length_mm < 4) & (shape.chart.length_mm > -10)
@@ -40,7 +38,7 @@ def rms_mm(body) -> float:
     return float(np.sqrt((scene.off_surface_mm(points) ** 2).mean()))
 
 
-def angle_deg(normal: np.ndarray, true: np.ndarray) -> float:
+def angle_deg(normal, true):
     return float(np.rad2deg(np.arccos(min(1.0, float(normal @ true)))))
 
 

@@ -1,7 +1,5 @@
 """Slopes that the lights hardly show stay near the shape's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from splitknit_match.rolled.views import _held_normals
 SHAPE, PITCH = (24, 24), 0.05
 
 
-def tilted(slant_deg: float, held: float, lights: np.ndarray, ridge: float = 0.2) -> np.ndarray:
+def tilted(slant_deg, held, lights, ridge=0.2):
     """Measured slopes (across, along) on a plane of that slant; a ridge turns the skin by `ridge`
     (rad) both ways."""
     x = PITCH * np.arange(SHAPE[1])
@@ -31,7 +29,7 @@ def tilted(slant_deg: float, held: float, lights: np.ndarray, ridge: float = 0.2
 
 
 @pytest.fixture
-def ring() -> np.ndarray:
+def ring():
     azimuth = 2 * np.pi * np.arange(7) / 7
     return np.stack([0.4 * np.cos(azimuth), 0.4 * np.sin(azimuth), np.full(7, 0.9)], axis=1)
 

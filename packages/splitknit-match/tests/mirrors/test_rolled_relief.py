@@ -1,7 +1,5 @@
 """Ridges of a view of skin: a camera too coarse for the network is read on a grid twice as fine."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Curvatures of bodies that are known, edges, cameras."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Directions, frequencies, enhancement."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from splitknit_match.prints.enhance import gabor_enhance
 from splitknit_match.prints.ridge_field import ridge_field
 
 
-def _waves(period: float, angle_deg: float, size: int = 300) -> tuple[np.ndarray, np.ndarray]:
+def _waves(period, angle_deg, size=300):
     """Phase of ridges that run at an angle counter-clockwise from the right, and the print, ridges
     dark."""
     row, column = np.mgrid[0:size, 0:size].astype(float)
@@ -19,7 +17,7 @@ def _waves(period: float, angle_deg: float, size: int = 300) -> tuple[np.ndarray
     return phase, np.round(127.5 - 110 * np.tanh(1.5 * np.cos(phase))).astype(np.uint8)
 
 
-def _rings(size: int = 300, period: float = 9.0) -> tuple[np.ndarray, np.ndarray]:
+def _rings(size=300, period=9.0):
     row, column = np.mgrid[0:size, 0:size].astype(float)
     phase = 2 * np.pi * np.hypot(row - 150.3, column - 149.1) / period
     return phase, np.round(127.5 - 100 * np.cos(phase)).astype(np.uint8)

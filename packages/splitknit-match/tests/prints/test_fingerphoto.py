@@ -1,10 +1,7 @@
 """Drawn photographs of a finger: an elliptic cylinder with ridges at known distances."""
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,7 +15,7 @@ from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo
 
 
-def spacings(image: np.ndarray) -> np.ndarray:
+def spacings(image):
     """Distances of the ridges across the middle of a print, pixels."""
     rows = image.shape[0] // 2
     line = image[rows : rows + 60].mean(axis=0).astype(np.float32)
@@ -95,7 +92,7 @@ def test_ridges_of_0_73_mm_need_a_known_scale():
 
 
 @pytest.fixture
-def photo(tmp_path) -> Path:
+def photo(tmp_path):
     file = tmp_path / "photo.jpg"
     cv2.imwrite(str(file), drawn(20.0, minutiae=40)[0][..., ::-1])
     return file
@@ -142,12 +139,12 @@ def test_a_finger_whose_side_leaves_the_picture_is_segmented_whole(turn_deg):
     assert overlap(finger_in_photo(photo).mask, inside) > 0.96
 
 
-def overlap(mask: np.ndarray, true: np.ndarray) -> float:
+def overlap(mask, true):
     """Intersection over union."""
     return float((mask & true).sum() / (mask | true).sum())
 
 
-def two_fingers() -> tuple[np.ndarray, list[np.ndarray]]:
+def two_fingers():
     """Two fingers beside each other, before leaves of two greens, and their masks."""
     (photo, inside), (row, column) = drawn(), np.indices((520, 460))
     dark = (np.sin(row / 9.0) * np.sin(column / 13.0) > 0)[..., None]
@@ -213,9 +210,7 @@ def test_a_box_or_mask_that_does_not_fit_the_photograph_is_refused(tmp_path, cap
         assert not gallery.exists()
 
 
-def on_pale_ground(
-    ridge_contrast: float, *, finger: float = 1.0, shadow: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
+def on_pale_ground(ridge_contrast, *, finger=1.0, shadow=0.0):
     """Photograph by soft daylight, without flash, of a finger on a ground of nearly its colour, and
     its mask. `finger`: 0 leaves the ground alone; `shadow`: of a hand's finger on it, soft."""
     _, inside = drawn(8.0)

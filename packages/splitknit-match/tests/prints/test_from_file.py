@@ -1,14 +1,11 @@
 """Prints from files of any format and resolution, brought to 500 ppi with the drawn minutiae."""
 
-from __future__ import annotations
-
 import io
 import re
 
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from fmr_samples import three_minutiae
@@ -29,14 +26,14 @@ from splitknit_match.prints.from_file import (
 from splitknit_match.prints.make import enhance, minutiae_by_phase
 
 
-def saved(image: NDArray[np.uint8], kind: str, ppi: float | None, **more) -> bytes:
+def saved(image, kind, ppi, **more):
     """As Pillow writes it."""
     stream, dpi = io.BytesIO(), {} if ppi is None else {"dpi": (ppi, ppi)}
     Image.fromarray(image).save(stream, kind, **dpi | more)
     return stream.getvalue()
 
 
-def assert_drawn_minutiae(image: NDArray[np.uint8]) -> None:
+def assert_drawn_minutiae(image):
     """All but one are extracted within 0.25 mm, and at most three others."""
     pressed = pressed_print(PrintFile(image, 500.0, {}))
     minutiae = minutiae_by_phase(pressed, enhance(pressed))
@@ -51,7 +48,7 @@ EXIF[282] = EXIF[283] = 600.0
 EXIF[296] = 2
 
 
-def coloured(*seeds: int) -> np.ndarray:
+def coloured(*seeds):
     return np.stack([spiral_print(seed=seed) for seed in seeds], axis=-1)
 
 
@@ -123,7 +120,7 @@ def test_pixels_that_are_not_square_are_made_so(kind, tmp_path):
     assert_drawn_minutiae(stored.image)
 
 
-def on_paper(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def on_paper(image):
     return np.pad(image, 60, constant_values=255)
 
 

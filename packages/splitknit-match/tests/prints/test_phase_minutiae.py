@@ -1,15 +1,11 @@
 """Minutiae by the phase: extracted where a pattern has them, with direction and type."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from splitknit_match.prints.enhance import gabor_enhance
-from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.prints.phase_minutiae import by_phase
 from splitknit_simulator.finger.master_print import (
-    MasterPrint,
     MasterPrintSettings,
     ink_print,
     master_print,
@@ -20,24 +16,22 @@ STEP_MM = 25.4 / 500
 BORDER = 20
 
 
-def extracted(image: np.ndarray) -> Minutiae:
+def extracted(image):
     return by_phase(image, gabor_enhance(image))
 
 
 @pytest.fixture(scope="module")
-def master() -> MasterPrint:
+def master():
     settings = MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=1.0)
     return master_print("left_loop", 52, settings)
 
 
 @pytest.fixture(scope="module")
-def minutiae(master: MasterPrint) -> Minutiae:
+def minutiae(master):
     return extracted(np.pad(ink_print(master), BORDER, constant_values=255))
 
 
-def with_dislocations(
-    places: list[tuple[float, float]], signs: list[int], shift: float, turn: float = 0.0
-) -> np.ndarray:
+def with_dislocations(places, signs, shift, turn=0.0):
     """Parallel ridges, and at each place (column, row) a further one on one side."""
     rows, columns = np.mgrid[:260, :260].astype(np.float64)
     x, y = columns - 130, 130 - rows

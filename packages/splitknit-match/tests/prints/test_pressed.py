@@ -1,7 +1,5 @@
 """Enhancement of pressed prints: ridges come out of noise, and no ridges where there are none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,15 +8,15 @@ from splitknit_match.prints.pressed import pressed_ridges
 FROM_MIDDLE = np.hypot(*(np.mgrid[0:160, 0:180] - np.array([80, 90])[:, None, None]))
 
 
-def patch(wave: np.ndarray) -> np.ndarray:
+def patch(wave):
     return np.where(wave != 0, 140 + 90 * wave, 250)
 
 
-def as_image(grey: np.ndarray) -> np.ndarray:
+def as_image(grey):
     return np.clip(grey, 0, 255).astype(np.uint8)
 
 
-def waves(angle_deg: float, period_px: float, shape: tuple[int, int] = (160, 180)) -> np.ndarray:
+def waves(angle_deg, period_px, shape=(160, 180)):
     """Ridges of one direction: 1 on valleys, -1 on ridges, in a round patch (0 outside)."""
     y, x = np.mgrid[0 : shape[0], 0 : shape[1]]
     along = np.deg2rad(angle_deg)

@@ -1,27 +1,24 @@
 """Where a print's pixels come from, and that prints have the right size, side and spacing."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 
-from bodies import Twin
 from refusals import bad_input
 from splitknit.finger.ridges import ink, relief_print
-from splitknit_match.prints.print_map import PrintMap, plane_map, resample, unrolled_map
+from splitknit_match.prints.print_map import plane_map, resample, unrolled_map
 from splitknit_match.prints.ridge_field import ridge_field
 from splitknit_match.prints.unroll import unroll
 from splitknit_simulator.finger.master_print import ink_print
 
 
 @pytest.fixture(scope="module")
-def laid(twin: Twin) -> PrintMap:
+def laid(twin):
     return unrolled_map(unroll(twin.grid()), "free")
 
 
 @pytest.fixture(scope="module")
-def printed(twin: Twin, laid: PrintMap) -> np.ndarray:
+def printed(twin, laid):
     return ink(*resample(twin.ridge_mm, twin.seen.mask, twin.seen.camera.pitch_mm, laid))
 
 
@@ -63,7 +60,7 @@ def test_points_beside_the_finger_are_nan(laid):
     assert np.isnan(laid.print_from_input(np.array([[-4000.0, 12.0], [np.nan, 3.0]]))).all()
 
 
-def _best(part: np.ndarray, whole: np.ndarray) -> tuple[float, tuple[int, int]]:
+def _best(part, whole):
     score = cv2.matchTemplate(np.float32(whole), np.float32(part), cv2.TM_CCOEFF_NORMED)
     _, best, _, place = cv2.minMaxLoc(score)
     return best, place

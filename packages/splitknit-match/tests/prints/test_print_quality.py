@@ -1,7 +1,5 @@
 """Quality of a print: every figure on waves that are known, and the score."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -16,16 +14,14 @@ ROWS, COLUMNS = 520, 360
 GOOD = QualityFigures(0.8, 45.0, 0.95, 0.95, 0.5, 0.1, 280.0, 350.0, 19.0, 0.03, 1.2)
 
 
-def waves(height_um: float = 50.0, second: float = 0.0, period_mm: float = 0.5) -> np.ndarray:
+def waves(height_um=50.0, second=0.0, period_mm=0.5):
     """Horizontal ridges; `second` is the second harmonic, a fraction of the first."""
     phase = 2 * np.pi * np.arange(ROWS) / (period_mm * PX_PER_MM)
     line = 0.5 * height_um * (np.cos(phase) + second * np.cos(2 * phase + 0.4))
     return np.repeat(line[:, None], COLUMNS, axis=1).astype(np.float32)
 
 
-def figures(
-    values: np.ndarray, weight: np.ndarray | None = None, *, in_um: bool = True
-) -> QualityFigures:
+def figures(values, weight=None, *, in_um=True):
     weight = np.ones(values.shape, np.float32) if weight is None else weight
     return print_quality(values, weight, ridge_field(ink(values, weight)), in_um=in_um).figures
 
@@ -59,7 +55,7 @@ def test_sharpness_is_the_second_harmonic_and_blind_to_noise():
     assert figures(noisy).sharpness < 0.03
 
 
-def without(*blank: slice) -> QualityFigures:
+def without(*blank):
     """Of waves with a blank part."""
     values = waves()
     values[blank] = 0.0

@@ -1,25 +1,23 @@
 """Unrolling: bodies whose flat form is known, and the twin's finger."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from bodies import PX_PER_MM, body_grid, plane_points
 from refusals import bad_input
 from splitknit.imaging.geometry import rotation_about
-from splitknit_match.prints.unroll import KINDS, SurfaceGrid, distortion, surface_grid, unroll
+from splitknit_match.prints.unroll import KINDS, distortion, surface_grid, unroll
 
 RADIUS = 8.0
 
 
-def _cylinder() -> tuple[np.ndarray, np.ndarray]:
+def _cylinder():
     x, _ = plane_points((320, 260))
     mask = np.abs(x) < RADIUS * np.sin(np.deg2rad(70))
     return np.sqrt(np.maximum(RADIUS**2 - x**2, 0.01)), mask
 
 
-def _off_arc(grid: SurfaceGrid, flat_mm: np.ndarray, slant_deg: float) -> float:
+def _off_arc(grid, flat_mm, slant_deg):
     """Largest difference of u from the cylinder's arc length, to the right, where it is no steeper
     than this."""
     x = grid.points_mm[..., 0][grid.inside]
@@ -28,7 +26,7 @@ def _off_arc(grid: SurfaceGrid, flat_mm: np.ndarray, slant_deg: float) -> float:
     return float(np.abs(difference - np.median(difference)).max())
 
 
-def _cap() -> tuple[np.ndarray, np.ndarray]:
+def _cap():
     x, y = plane_points((300, 300))
     r2 = x**2 + y**2
     return np.sqrt(np.maximum(RADIUS**2 - r2, 0.01)), r2 < (RADIUS * np.sin(np.deg2rad(62))) ** 2

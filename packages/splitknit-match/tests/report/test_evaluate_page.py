@@ -1,7 +1,5 @@
 """The documentation's score file and its Python run."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,11 +1,8 @@
 """The specular image of a polarised capture: in the result, its files, the report, and as a
 print."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,15 +10,13 @@ import pytest
 import splitknit
 import splitknit_match
 import splitknit_simulator
-from splitknit.capture import Capture
 from splitknit.cli.main import main
 from splitknit.io.images import read_image
 from splitknit.io.results import read_result
-from splitknit.reconstruction import Reconstruction
 
 
 @pytest.fixture(scope="module")
-def polarised() -> Capture:
+def polarised():
     """A finger with specular reflection, and without it as crossed films show it."""
     glossy, matt = (
         splitknit_simulator.simulate_capture(
@@ -35,24 +30,24 @@ def polarised() -> Capture:
 
 
 @pytest.fixture(scope="module")
-def plain(polarised: Capture) -> Capture:
+def plain(polarised):
     """The same light without films."""
     return replace(polarised, bands={"white": replace(polarised.bands["white"], polarisation="")})
 
 
 @pytest.fixture(scope="module")
-def result(polarised: Capture) -> Reconstruction:
+def result(polarised):
     return splitknit.reconstruct(polarised, "ea")
 
 
 @pytest.fixture(scope="module")
-def folder(result: Reconstruction, polarised: Capture, tmp_path_factory) -> Path:
+def folder(result, polarised, tmp_path_factory):
     out = tmp_path_factory.mktemp("specular") / "result"
     result.save(out, polarised)
     return out
 
 
-def printing(folder: Path, tmp_path) -> list[str]:
+def printing(folder, tmp_path):
     return f"print {folder} --method specular --out {tmp_path}/p".split()
 
 

@@ -1,11 +1,8 @@
 """The twin passes the acceptance test; a dead LED and a wrong lens file fail it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -33,11 +30,11 @@ TIMES = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
 LIGHT = np.linspace(0.02, 0.14, 200)
 
 
-def by_question(answers) -> dict[str, Answer]:
+def by_question(answers):
     return {answer.question: answer for answer in answers}
 
 
-def card(black: int) -> Capture:
+def card(black):
     """A card whose camera states a level of no light; its pictures are not looked at."""
     pixels = np.zeros((3, 8, 8, 3), dtype=np.uint8)
     band = Band("white", pixels, ((0,), (1,), (2,)), np.ones(3), np.full(3, float(black)))
@@ -124,7 +121,7 @@ def test_the_table():
 
 
 @pytest.fixture(scope="module")
-def rig_file(tmp_path_factory) -> Path:
+def rig_file(tmp_path_factory):
     file = tmp_path_factory.mktemp("rig") / "rig.json"
     write_rig(built_rig(3, scale=0.1), file)
     return file
@@ -147,12 +144,12 @@ def test_refused(rig_file, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def tested(rig_file, tmp_path_factory) -> tuple[RigCheck, Path]:
+def tested(rig_file, tmp_path_factory):
     out = tmp_path_factory.mktemp("check") / "out"
     return check_rig(rig_file, out=out, device="twin"), out
 
 
-def folders(out: Path) -> dict:
+def folders(out):
     return {
         "card": out / "card",
         "phantom": out / "phantom",

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import pytest
 from enrolled import facts_of, refusal_of
 from refusals import bad_input
 from small_capture import edit
-from splitknit.capture import Band, Capture
+from splitknit.capture import Band
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
@@ -33,7 +32,7 @@ from splitknit_simulator.rigs import built_rig
 SCALE = 0.2
 
 
-def photographed(folder: Path, seed: int, extinction: float) -> Films:
+def photographed(folder, seed, extinction):
     """Write the photographs of a rig's films, and return them."""
     rig = built_rig(seed, scale=SCALE)
     films, ball = drawn_films(rig, np.random.SeedSequence(seed), BenchSettings(), extinction)
@@ -48,12 +47,12 @@ def photographed(folder: Path, seed: int, extinction: float) -> Films:
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory) -> Iterator[tuple[Path, Films]]:
+def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("films")
     yield folder / "polarisers", photographed(folder, 5, 5000.0)
 
 
-def check(folder: Path, films: Films, tmp_path, capsys) -> Films:
+def check(folder, films, tmp_path, capsys):
     """Films that the photographs give, compared with the true ones."""
     out = tmp_path / "rig.json"
     words = "--out", out, "--residuals", tmp_path / "left.png"
@@ -97,47 +96,47 @@ def test_the_highlight_of_neighbouring_leds_is_measured(bench):
     )
 
 
-def _dark(folder: Path) -> Capture:
+def _dark(folder):
     return read_capture(folder, may_be_dark=True)
 
 
-def _swap(folder: Path) -> None:
-    def change(document: Any) -> None:
+def _swap(folder):
+    def change(document):
         white, crossed = document["bands"]["white"], document["bands"]["white_crossed"]
         white["images"], crossed["images"] = crossed["images"], white["images"]
 
     edit(folder / "ball" / "capture.json", change)
 
 
-def _clip(folder: Path) -> None:
+def _clip(folder):
     file = folder / "ball" / "white_2.png"
     image = read_image(file)
     image[np.unravel_index(int(image[..., 1].argmax()), image.shape[:2])] = 65535
     write_image(file, image)
 
 
-def _dull(folder: Path) -> None:
+def _dull(folder):
     shutil.rmtree(folder / "ball")
     shutil.copytree(folder / "card", folder / "ball")
 
 
-def _plain(folder: Path) -> None:
+def _plain(folder):
     rng = np.random.default_rng(0)
     for path in (folder / "card").glob("white_*.png"):
         image = read_image(path)
         write_image(path, (40000 + rng.normal(0, 300, image.shape)).astype(np.uint16))
 
 
-def _no_exposures(folder: Path) -> None:
-    def change(document: Any) -> None:
+def _no_exposures(folder):
+    def change(document):
         for entry in document["bands"]["white_crossed"]["images"]:
             entry["exposure_s"] *= 9
 
     edit(folder / "card" / "capture.json", change)
 
 
-def _alone(folder: Path) -> None:
-    def change(document: Any) -> None:
+def _alone(folder):
+    def change(document):
         del document["bands"]["white_crossed"], document["bands"]["white"]["polarisation"]
 
     edit(folder / "card" / "capture.json", change)

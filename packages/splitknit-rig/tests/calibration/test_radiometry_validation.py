@@ -1,14 +1,10 @@
 """The script behind the figures of docs/experiments/calibration.md: it runs, and its goal is met on
 a small rig."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -16,7 +12,7 @@ SCRIPTS = Path(__file__).resolve().parents[4] / "validation" / "calibration"
 
 
 @pytest.fixture
-def script(monkeypatch) -> Iterator[ModuleType]:
+def script(monkeypatch):
     names = {file.stem for file in SCRIPTS.glob("*.py")}
     for name in names & set(sys.modules):
         monkeypatch.delitem(sys.modules, name)

@@ -1,7 +1,5 @@
 """Focus: peaks when sharp, whatever brightness and noise."""
 
-from __future__ import annotations
-
 import itertools
 
 import cv2
@@ -14,7 +12,7 @@ from splitknit_rig.capture.exposure import grey_light, measure_focus
 PX = 40.0
 
 
-def skin(blur_px: float = 0.0, noise: float = 0.0, light: float = 0.5, seed: int = 0) -> np.ndarray:
+def skin(blur_px=0.0, noise=0.0, light=0.5, seed=0):
     rng = np.random.default_rng(seed)
     x = np.arange(400) / PX
     ridges = 1 + 0.02 * np.sin(2 * np.pi * x / 0.45)[None, :] * np.ones((400, 1))

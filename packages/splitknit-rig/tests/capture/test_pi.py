@@ -1,7 +1,5 @@
 """What is the Raspberry Pi's alone: metadata, linear pictures, missing hardware."""
 
-from __future__ import annotations
-
 import sys
 import warnings
 from pathlib import Path
@@ -21,7 +19,7 @@ SMALL = PiCameraSettings(image_size=(64, 96))
 
 
 @pytest.fixture
-def world(monkeypatch) -> World:
+def world(monkeypatch):
     world = World()
     monkeypatch.setattr(FakePicamera2, "world", world)
     monkeypatch.setattr(FakePicamera2, "opened", [])
@@ -29,7 +27,7 @@ def world(monkeypatch) -> World:
     return world
 
 
-def camera_in(world: World, settings: PiCameraSettings = SMALL) -> PiCamera:
+def camera_in(world, settings=SMALL):
     return PiCamera(FakePicamera2, settings, now_ns=lambda: world.now_ns)
 
 
@@ -231,7 +229,7 @@ def test_without_a_camera_the_pi_is_refused_and_dark(world, pins, monkeypatch): 
     assert not any(pins.pin(pin).function == "output" and pins.pin(pin).state for pin in PINS)
 
 
-def opened(rig=None) -> None:
+def opened(rig=None):
     with opened_pi(rig or default_rig(), SMALL):
         pass
 

@@ -1,7 +1,5 @@
 """The camera in the browser, asked over HTTP: the twin's picture, its sharpness and histogram."""
 
-from __future__ import annotations
-
 import base64
 import http.client
 import json
@@ -19,7 +17,7 @@ from splitknit_rig.capture.openers import opener_of
 from splitknit_rig.capture.preview import Preview, serve_preview
 
 
-def ask(address: str, name: str = "", host: str | None = None) -> tuple[int, bytes]:
+def ask(address, name="", host=None):
     place = urlsplit(address)
     connection = http.client.HTTPConnection(place.netloc, timeout=30)
     connection.request("GET", place.path + name, headers={} if host is None else {"Host": host})
@@ -34,7 +32,7 @@ def served():
     with opener(0, 0) as devices:
         preview, places, known = Preview(devices, 2), [], threading.Event()
 
-        def ready(address: str) -> None:
+        def ready(address):
             places.append(address)
             known.set()
 

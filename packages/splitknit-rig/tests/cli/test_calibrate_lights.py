@@ -1,7 +1,5 @@
 """``splitknit calibrate lights``: what it prints, writes, refuses, and in which words."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil
@@ -38,7 +36,7 @@ MIRROR = Mirror(
 )
 
 
-def cast_table(path: Path, places, *, height=15.0, bands=("white", "nir"), skip=()) -> Path:
+def cast_table(path, places, *, height=15.0, bands=("white", "nir"), skip=()):
     """Shadows of the drawn rig by hand."""
     lines = ["band,led,nail,nail_x_px,nail_y_px,tip_x_px,tip_y_px"]
     for k, led in enumerate(default_rig().leds):
@@ -53,17 +51,17 @@ def cast_table(path: Path, places, *, height=15.0, bands=("white", "nir"), skip=
     return path
 
 
-def run(capsys, command, *words) -> tuple[int, str, str]:
+def run(capsys, command, *words):
     code = main([*f"calibrate lights {command}".split(), *map(str, words)])
     out, err = capsys.readouterr()
     return code, out, err
 
 
-def facts_with(capsys, command, *words) -> dict:
+def facts_with(capsys, command, *words):
     return facts_of(capsys, f"calibrate lights {command}", *words)
 
 
-def refused(capsys, command, *words) -> str:
+def refused(capsys, command, *words):
     return refusal_of(capsys, f"calibrate lights {command}", *words)
 
 

@@ -1,12 +1,9 @@
 """``splitknit calibrate radiometry``: a folder in, a rig or a verdict out, one sentence where it
 cannot."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,36 +21,36 @@ SCALE = 0.08
 
 
 @pytest.fixture(scope="module")
-def card(tmp_path_factory) -> Path:
+def card(tmp_path_factory):
     folder = tmp_path_factory.mktemp("card") / "card"
     card_folder(folder, seed=2, scale=SCALE)
     return folder
 
 
 @pytest.fixture(scope="module")
-def calibrated(card: Path, tmp_path_factory) -> Path:
+def calibrated(card, tmp_path_factory):
     out = tmp_path_factory.mktemp("rigs") / "rig.json"
     assert run(card, "--out", out) == 0
     return out
 
 
 @pytest.fixture
-def own(card: Path, tmp_path) -> Path:
+def own(card, tmp_path):
     """A copy of the folder to change."""
     return Path(shutil.copytree(card, tmp_path / "own"))
 
 
-def run(*words: Any) -> int:
+def run(*words):
     return main(["calibrate", "radiometry", *map(str, words)])
 
 
-def refusal(capsys, *words: Any) -> str:
+def refusal(capsys, *words):
     """Return the one sentence with which a run is refused."""
     capsys.readouterr()
     return refusal_of(capsys, "calibrate", "radiometry", *words)
 
 
-def facts_with(capsys, *words: Any) -> dict[str, Any]:
+def facts_with(capsys, *words):
     return facts_of(capsys, "calibrate", "radiometry", *words)
 
 

@@ -1,8 +1,6 @@
 """``splitknit capture`` through the command line, on the twin and on a Raspberry Pi that is not
 there."""
 
-from __future__ import annotations
-
 import json
 import os
 import shlex
@@ -13,7 +11,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,21 +29,21 @@ PERSON = ("--seed", 3, "--subject", "S01", "--finger", "left_ring", "--session",
 Captured = pytest.CaptureFixture[str]
 
 
-def run(*words: object) -> int:
+def run(*words):
     return main(["capture", "--device", "twin", *map(str, words)])
 
 
-def refused(capsys, *words: object, device: str = "twin") -> str:
+def refused(capsys, *words, device="twin"):
     """Sentence with which a command is refused."""
     return refusal_of(capsys, f"capture --device {device}", *words)
 
 
-def facts_with(capsys, *words: object) -> dict[str, Any]:
+def facts_with(capsys, *words):
     return facts_of(capsys, "capture --device twin", *words)
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory) -> Path:
+def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("capture") / "one"
     assert run("--out", folder, *SMALL, *PERSON) == 0
     return folder
@@ -56,9 +53,9 @@ def done(tmp_path_factory) -> Path:
 def faults(monkeypatch):
     """Let the twin's scenes have faults."""
 
-    def spoil(**faults: object) -> None:
+    def spoil(**faults):
         class Spoilt(FingerScene):
-            def __init__(self, *args: object, **options: object) -> None:
+            def __init__(self, *args, **options):
                 super().__init__(*args, **options)
                 self._faulty = FaultyScene(self._plain(), Faults(**faults))
 

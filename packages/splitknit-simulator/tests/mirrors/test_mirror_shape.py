@@ -1,26 +1,24 @@
 """The finger's shape from the outlines of its views: against the truth, with mirrors off their
 place, and refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from mirrored import Scene, scene, turned
+from mirrored import scene, turned
 from refusals import bad_input
 from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.views import Views
 
 
 @pytest.fixture(scope="module")
-def finger() -> Scene:
+def finger():
     return scene(9002)
 
 
-def only(views: Views, *names: str) -> Views:
+def only(views, *names):
     return replace(views, mirrors={name: views.mirrors[name] for name in names})
 
 

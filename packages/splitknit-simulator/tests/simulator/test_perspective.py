@@ -1,7 +1,5 @@
 """The finger and its light under a perspective camera."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +11,6 @@ from splitknit_simulator.camera.lens import pixels_of_points, slopes_of_pixels
 from splitknit_simulator.finger.finger import (
     FingerPose,
     PoseRanges,
-    SimulatedFinger,
     draw_finger,
     finger_surface,
     placement_of,
@@ -29,7 +26,6 @@ from splitknit_simulator.light.skin import (
     diffusion_profile,
     fresnel,
 )
-from splitknit_simulator.surface import SimulatedSurface
 from surfaces import perspective_camera, perspective_plane
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
@@ -43,22 +39,22 @@ CENTRED = perspective_camera((430, 560), 15.0, 140.0)
 
 
 @pytest.fixture(scope="module")
-def finger() -> SimulatedFinger:
+def finger():
     drawn = draw_finger(2, "left_loop", print_settings=SHORT)
     return replace(drawn, printed=drawn.master())
 
 
 @pytest.fixture(scope="module")
-def seen(finger: SimulatedFinger) -> SimulatedSurface:
+def seen(finger):
     return finger_surface(finger, POSE, CAMERA)
 
 
-def _points(surface: SimulatedSurface) -> np.ndarray:
+def _points(surface):
     """(H, W, 3) of the skin."""
     return np.stack(surface.sight().at(surface.height_mm), axis=-1)
 
 
-def _view(surface: SimulatedSurface) -> np.ndarray:
+def _view(surface):
     """(H, W, 3) unit vectors from the skin to the camera."""
     to = np.array([0.0, 0.0, surface.camera.height_mm]) - _points(surface)
     return to / np.linalg.norm(to, axis=-1, keepdims=True)

@@ -30,7 +30,7 @@ class Piece:
     grid: Grid
     networks: Networks | None
 
-    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+    def surface(self):
         """Shape, less its mean, and relief."""
         surface = metric_skin(
             self.bands, self.grid, SETTINGS.skin, SETTINGS.metric, networks=self.networks
@@ -38,9 +38,7 @@ class Piece:
         mean = surface.shape_mm[self.grid.mask].mean()
         return (surface.shape_mm - mean) * self.grid.mask, surface.relief_mm * self.grid.mask
 
-    def moved(
-        self, image: Callable[[np.ndarray], np.ndarray], place: Place, mask: np.ndarray
-    ) -> Piece:
+    def moved(self, image, place, mask):
         """The piece whose images and lights are moved; its middle stays where it is."""
         bands = []
         for band in self.bands:
@@ -66,7 +64,7 @@ class Piece:
 
 
 @pytest.fixture(scope="module")
-def piece() -> Piece:
+def piece():
     capture, _ = simulate_capture(1001, settings={"scale": 0.34})
     light = observe(capture)
     finger = find_finger(light, SETTINGS)
@@ -95,7 +93,7 @@ def piece() -> Piece:
 
 
 @pytest.fixture(scope="module")
-def straight(piece: Piece) -> tuple[np.ndarray, np.ndarray]:
+def straight(piece):
     return piece.surface()
 
 
@@ -140,7 +138,7 @@ def test_a_turned_finger_has_a_turned_surface(piece, straight, turn_deg):
     same_surface(tuple(turned(part, back) for part in surface), straight, piece.grid)
 
 
-def same_surface(measured, wanted, grid: Grid) -> None:
+def same_surface(measured, wanted, grid):
     inner = grid.mask & (grid.depth_mm > 1.0)
     shape, relief = (
         (error - error[inner].mean())[inner]

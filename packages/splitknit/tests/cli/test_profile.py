@@ -1,10 +1,7 @@
 """``splitknit profile``: a cut through a surface, its table, its roughness."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +13,7 @@ from splitknit.imaging.roughness import profile_roughness
 
 
 @pytest.fixture(scope="module")
-def waves(tmp_path_factory) -> Path:
+def waves(tmp_path_factory):
     """A result of an opaque thing: waves 0.25 mm long and 20 um high on a slope, along x."""
     result, _ = finger(px_per_mm=40.0, size=(60, 520), yaw_deg=0.0)
     x = (np.arange(520) - 259.5) / 40.0

@@ -1,8 +1,6 @@
 """Finger masks on drawn fingers of every tone and disturbance, and refusal where there is no
 finger."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -126,7 +124,7 @@ def test_dust_on_the_outline_is_cut_off(draw_finger):
     assert (finger_mask(rgb, 20.0) ^ finger_mask(scene.rgb, 20.0)).sum() < 250  # of some 740
 
 
-def _empty(kind: str, rng: np.random.Generator) -> np.ndarray:
+def _empty(kind, rng):
     y, x = np.mgrid[0:500, 0:350] / 350
     noise = rng.standard_normal((500, 350, 3))
     images = {

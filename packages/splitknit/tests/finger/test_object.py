@@ -1,7 +1,5 @@
 """Drawn objects without a mask: what lies behind is left out only where that is certain."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -18,7 +16,7 @@ ROW, COLUMN = np.indices((ROWS, COLUMNS)).astype(np.float32)
 EVERYTHING = np.ones((ROWS, COLUMNS), np.bool_)
 
 
-def lit(height: np.ndarray, albedo: np.ndarray) -> np.ndarray:
+def lit(height, albedo):
     """Matt photographs (L, H, W) with attached and cast shadows."""
     down, right = np.gradient(height)
     normals = np.dstack([-right, down, np.ones_like(right)])
@@ -39,12 +37,12 @@ def lit(height: np.ndarray, albedo: np.ndarray) -> np.ndarray:
     return np.clip(photographs + rng.normal(0, 0.002, (len(LIGHTS), ROWS, COLUMNS)), 0, 1)
 
 
-def ball(column: float, row: float, radius: float) -> np.ndarray:
+def ball(column, row, radius):
     squared = radius**2 - (COLUMN - column) ** 2 - (ROW - row) ** 2
     return np.sqrt(np.maximum(squared, 0.0))
 
 
-def coin() -> np.ndarray:
+def coin():
     edge = 60 - np.hypot(COLUMN - 120, ROW - 100)
     relief = 0.6 * np.sin(COLUMN / 3) * np.sin(ROW / 4)
     return np.clip(3 * edge, 0, 6) + np.where(edge > 12, relief, 0)
@@ -58,9 +56,7 @@ WALL_ABOVE = np.where(ROW < 70, 0.08, 0.005)
 HALF_WHITE = np.where(COLUMN > 120, 0.8, 0.35)
 
 
-def codes_and_overlap(
-    height: np.ndarray, inside: np.ndarray, albedo: float | np.ndarray, behind: float | np.ndarray
-) -> tuple[set[str], float]:
+def codes_and_overlap(height, inside, albedo, behind):
     """Codes of the findings, and intersection over union with `inside`."""
     photographs = lit(height, np.where(inside, albedo, behind))
     result = reconstruct_images(photographs.astype(np.float32), LIGHTS)

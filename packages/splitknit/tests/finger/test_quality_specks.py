@@ -1,8 +1,6 @@
 """Specks are found whatever the camera's scale; valleys, wrinkles, hairs, pores, glare and scars
 are none."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np
@@ -16,7 +14,7 @@ FINE = 44.0
 
 
 @lru_cache
-def skin(px_per_mm: float) -> np.ndarray:
+def skin(px_per_mm):
     """Four images of ridges, 0.45 mm apart, with two ends and with pores; the flanks' shading turns
     with the light."""
     rng = np.random.default_rng(0)
@@ -35,11 +33,11 @@ def skin(px_per_mm: float) -> np.ndarray:
     return np.stack([at_scale(image, px_per_mm) for image in images]).astype(np.float32)
 
 
-def at_scale(image: np.ndarray, px_per_mm: float) -> np.ndarray:
+def at_scale(image, px_per_mm):
     return zoom(gaussian_filter(image, 0.35 * FINE / px_per_mm), px_per_mm / FINE, order=1)
 
 
-def marked(px_per_mm: float, number: int, diameter_mm: float, factor: float) -> np.ndarray:
+def marked(px_per_mm, number, diameter_mm, factor):
     """The patch with discs of `factor` times its brightness, the same in every image."""
     rng = np.random.default_rng(3)
     rows, columns = (round(side * FINE) for side in SIZE_MM)
@@ -53,7 +51,7 @@ def marked(px_per_mm: float, number: int, diameter_mm: float, factor: float) -> 
     return skin(px_per_mm) * at_scale(cover, px_per_mm).astype(np.float32)
 
 
-def fractions(stack: np.ndarray, px_per_mm: float) -> tuple[float, float]:
+def fractions(stack, px_per_mm):
     quality = capture_quality(stack, np.ones(stack.shape[1:], bool), px_per_mm)
     return quality["dark_specks"], quality["bright_specks"]
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -7,7 +5,7 @@ from refusals import bad_input
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
 
 
-def normals_of(slope_x: np.ndarray, slope_y: np.ndarray) -> np.ndarray:
+def normals_of(slope_x, slope_y):
     normals = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=-1).astype(np.float32)
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from splitknit.imaging.view import view_of
 from splitknit.model import Camera
 
 
-def axes_mm(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def axes_mm(camera):
     """x of the columns and y of the rows under parallel rays."""
     view = view_of(camera)
     return view.x_mm, view.y_mm

@@ -1,13 +1,11 @@
 """Where pixels look, and surfaces along their rays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from refusals import bad_input
 from splitknit.imaging.geometry import height_gradients
-from splitknit.imaging.view import View, pixels_of, plane_points, view_of
+from splitknit.imaging.view import pixels_of, plane_points, view_of
 from splitknit.integration.knit import place
 from splitknit.integration.poisson import poisson
 from splitknit.model import Camera
@@ -16,16 +14,14 @@ SIZE = (180, 240)
 LENS = (-0.15, 0.02, 0.001, -0.0015, 0.0)
 
 
-def camera(distortion: tuple[float, ...] | None = LENS, size: tuple[int, int] = SIZE) -> Camera:
+def camera(distortion=LENS, size=SIZE):
     rows, columns = size
     focal = 5.0 * 60.0  # a wide view, so that what spreads is seen
     matrix = np.array([[focal, 0, columns / 2 + 6.0], [0, 1.01 * focal, rows / 2 - 4.0], [0, 0, 1]])
     return Camera(5.0, size, 60.0, "perspective", matrix, distortion)
 
 
-def sphere(
-    lens: Camera, radius: float = 14.0, low: float = -9.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sphere(lens, radius=14.0, low=-9.0):
     """(H, W, 3) points of a sphere that every pixel sees (NaN beside it), normals, and the distance
     from the camera."""
     rows, columns = lens.image_size
@@ -47,12 +43,12 @@ def sphere(
     )
 
 
-def log_height(lens: Camera, far: np.ndarray) -> np.ndarray:
+def log_height(lens, far):
     """Heights along rays whose slopes over equal steps are those of the pixels' frames."""
     return (lens.height_mm * np.log(lens.height_mm / far)).astype(np.float32)
 
 
-def own_frames(view: View, normals: np.ndarray) -> np.ndarray:
+def own_frames(view, normals):
     """(3, H, W) normals in the frame of each pixel."""
     return view.turned(np.moveaxis(normals, -1, 0)[None].astype(np.float32))[0]
 

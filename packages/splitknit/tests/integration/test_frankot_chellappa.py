@@ -1,7 +1,5 @@
 """Frankot-Chellappa: true scale, both rectangles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -13,13 +11,13 @@ from splitknit.integration.poisson import poisson
 from splitknit.model import Camera
 
 
-def waves(shape: tuple[int, int], period: float) -> np.ndarray:
+def waves(shape, period):
     """Mirror-symmetric along columns: whole half-waves between the borders."""
     rows, columns = np.mgrid[0 : shape[0], 0 : shape[1]]
     return np.cos(2 * np.pi * (columns + 0.5) / period) + 0 * rows
 
 
-def keep_fine(omega: np.ndarray) -> np.ndarray:
+def keep_fine(omega):
     return (omega > 2 * np.pi / 20).astype(float)
 
 
@@ -84,7 +82,7 @@ LENS = Camera(
 WINDOW = slice(10, 61), slice(20, 91)
 
 
-def tilted_plane() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def tilted_plane():
     """Points (h, w, 3) that `LENS` sees in `WINDOW`, their normal, a mask, and the heights (h, w)
     that integrating the slopes along its rays gives on a regular grid."""
     view = view_of(LENS, *WINDOW, along_rays=True)

@@ -1,8 +1,6 @@
 """Masked Poisson: exact where the truth is in its reach, equal to a direct solver everywhere
 else."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,8 +1,6 @@
 """Weighted integration reaches the least energy: random masks, rims and weights against a sparse
 direct solver."""
 
-from __future__ import annotations
-
 import logging
 
 import cv2

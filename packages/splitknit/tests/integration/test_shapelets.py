@@ -1,7 +1,5 @@
 """Shapelets: the transfer function against explicit correlations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.signal

@@ -21,13 +21,13 @@ from splitknit.io import atomic
 from splitknit.io.atomic import GROUP_READABLE, MANIFEST, atomic_file, atomic_folder, manifest_of
 
 
-def fill(out: Path, **files: str) -> None:
+def fill(out, **files):
     with atomic_folder(out) as folder:
         for name, text in files.items():
             (folder / name).write_text(text)
 
 
-def visible(folder: Path) -> dict[str, str]:
+def visible(folder):
     return {path.name: path.read_text() for path in folder.iterdir() if path.name != ".splitknit"}
 
 
@@ -294,7 +294,7 @@ with atomic_folder(out) as folder:
 """
 
 
-def unmarked(parent: Path) -> list[Path]:
+def unmarked(parent):
     """Hidden files and folders of a user, some of them called as ours are, and backups of results
     of ours."""
     names = (

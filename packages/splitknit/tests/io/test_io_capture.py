@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable
@@ -11,7 +9,7 @@ import pytest
 
 from refusals import bad_input
 from small_capture import edit
-from splitknit.capture import Ambient, Capture
+from splitknit.capture import Ambient
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.npz import read_npz
@@ -20,7 +18,7 @@ from splitknit.model import Camera, Led, Rig
 from splitknit.observation.observe import observe
 
 
-def assert_same(a: Capture, b: Capture) -> None:
+def assert_same(a, b):
     assert list(a.bands) == list(b.bands)
     for key, first in a.bands.items():
         second = b.bands[key]
@@ -197,23 +195,23 @@ def test_a_dark_mask_or_one_of_another_size_is_refused(mask, words, folder):
 Change = Callable[[Any], Any]
 
 
-def document_with(**values: Any) -> Change:
+def document_with(**values):
     return lambda document: document.update(values)
 
 
-def white(**values: Any) -> Change:
+def white(**values):
     return lambda document: document["bands"]["white"].update(values)
 
 
-def image(place: int, value: Any) -> Change:
+def image(place, value):
     return lambda document: document["bands"]["white"]["images"].__setitem__(place, value)
 
 
-def camera_with(**values: Any) -> Change:
+def camera_with(**values):
     return lambda document: document["camera"].update(values)
 
 
-def led_with(**values: Any) -> Change:
+def led_with(**values):
     return lambda document: document["leds"][0].update(values)
 
 

@@ -1,32 +1,30 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from io_shared import Build
 from refusals import bad_input
 from splitknit.capture import Ambient, Band
 from splitknit.io import content
 from splitknit.io.content import check_content
 
 
-def changed(band: Band, k: int, pixels: Any, **changes: Any) -> Band:
+def changed(band, k, pixels, **changes):
     stack = band.pixels.copy()
     stack[k] = pixels
     return replace(band, pixels=stack, **changes)
 
 
 @pytest.fixture(params=[(np.uint8, 3), (np.uint8, 1), (np.uint16, 3)])
-def band(request, build_capture: Build) -> Band:
+def band(request, build_capture):
     band: Band = build_capture(*request.param, shape=(200, 150)).bands["white"]
     check_content(band)
     return band
 
 
-def full(band: Band) -> int:
+def full(band):
     return int(np.iinfo(band.pixels.dtype).max)
 
 

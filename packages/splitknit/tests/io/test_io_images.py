@@ -1,13 +1,10 @@
 """Pictures: pixels come as stored, and what is damaged, too large or of another kind is refused in
 a sentence."""
 
-from __future__ import annotations
-
 import io
 import struct
 import tracemalloc
 import zlib
-from typing import Any
 
 import cv2
 import numpy as np
@@ -21,19 +18,19 @@ from splitknit.io.images import decode_image, encode_image, image_size, read_ima
 from written_files import read_by_all
 
 
-def png(header: tuple[int, ...], lines: bytes, *extra: bytes) -> bytes:
+def png(header, lines, *extra):
     """PNG of filtered rows, made without any library."""
     ihdr = chunk(b"IHDR", struct.pack(">IIBBBBB", *header))
     data = chunk(b"IDAT", zlib.compress(lines))
     return b"".join((PNG, ihdr, *extra, data, chunk(b"IEND", b"")))
 
 
-def smooth(shape: tuple[int, ...], dtype: type = np.uint8, sigma: float = 1.5) -> np.ndarray:
+def smooth(shape, dtype=np.uint8, sigma=1.5):
     noise = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
     return cv2.GaussianBlur(noise, (0, 0), sigma)
 
 
-def tiff(image: np.ndarray, **options: Any) -> bytes:
+def tiff(image, **options):
     stream = io.BytesIO()
     tifffile.imwrite(stream, image, metadata=None, **options)
     return stream.getvalue()
@@ -136,7 +133,7 @@ def test_files_that_cannot_be_written_or_read_are_refused(tmp_path):
             read_image(tmp_path / "other.png")
 
 
-def peak_bytes_of_refusal(data: bytes, words: str) -> int:
+def peak_bytes_of_refusal(data, words):
     tracemalloc.start()
     try:
         with bad_input(words):
@@ -247,7 +244,7 @@ def test_compressed_tiff_keeps_pixels_and_bytes_and_is_refused_where_it_is_cut(d
     assert capfd.readouterr().err == ""
 
 
-def zstd_tiff(image: np.ndarray, **tags: Any) -> bytes:
+def zstd_tiff(image, **tags):
     stream = io.BytesIO()
     tiff_tags = {int(tag.removeprefix("tag")): value for tag, value in tags.items()}
     Image.fromarray(image).save(stream, "TIFF", compression="zstd", tiffinfo=tiff_tags)
@@ -314,14 +311,14 @@ def test_unsupported_kinds_of_tiff_are_refused(image, options, words):
         decode_image(tiff(image, **options), "x")
 
 
-def set_tag(data: bytes, tag: int, entry: bytes) -> bytes:
+def set_tag(data, tag, entry):
     """Replace type, count and value of a tag of a little-endian TIFF file by 10 bytes."""
     with tifffile.TiffFile(io.BytesIO(data)) as file:
         place = file.pages[0].tags[tag].offset
     return data[: place + 2] + entry + data[place + 12 :]
 
 
-def jpeg(*segments: bytes) -> bytes:
+def jpeg(*segments):
     data = cv2.imencode(".jpg", smooth((20, 30)))[1].tobytes()
     return b"".join((data[:2], *segments, data[2:]))
 

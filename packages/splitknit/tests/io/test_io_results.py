@@ -26,7 +26,7 @@ from splitknit.io.provenance import canonical_json, provenance, settings_hash
 from written_files import read_by_all, read_height_tiff, read_ply
 
 
-def hill(shape: tuple[int, int] = (13, 17)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def hill(shape=(13, 17)):
     rows, columns = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
     x, y = columns * 0.1, (shape[0] - 1 - rows) * 0.1
     return x, y, (1 - (x - 0.8) ** 2 - (y - 0.6) ** 2).astype(np.float32)

@@ -1,11 +1,8 @@
 """Archives of arrays: what numpy writes is read, and sizes are checked before memory is taken."""
 
-from __future__ import annotations
-
 import lzma
 import tracemalloc
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,12 +23,12 @@ ARRAYS = {
 HEAD = "{'descr': '<f4', 'fortran_order': False, 'shape': (3,), }"
 
 
-def npy(header: str, body: bytes, version: bytes = b"\1\0") -> bytes:
+def npy(header, body, version=b"\1\0"):
     text = header.encode().ljust(117) + b"\n"
     return b"\x93NUMPY" + version + len(text).to_bytes(2, "little") + text + body
 
 
-def archive(path: Path, *members: tuple[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> Path:
+def archive(path, *members, method=zipfile.ZIP_DEFLATED):
     with zipfile.ZipFile(path, "w", method) as stream:
         for name, content in members:
             stream.writestr(name, content)

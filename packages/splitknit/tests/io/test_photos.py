@@ -1,9 +1,6 @@
 """Photographs of every format, however they are turned, and as a capture."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +17,6 @@ from splitknit.io.images import decode_pixels
 from splitknit.io.photos import read_photo
 from splitknit.io.prints import decode_print_image
 from splitknit.observation.observe import observe
-from splitknit.observation.plain import Photographs
 from splitknit.photometric.lambertian import lambertian
 
 DIRECTIONS = np.array(
@@ -28,7 +24,7 @@ DIRECTIONS = np.array(
 )
 
 
-def picture(rows: int = 40, columns: int = 60) -> Any:
+def picture(rows=40, columns=60):
     noise = np.random.default_rng(3).integers(0, 255, (rows, columns, 3)).astype(np.uint8)
     return cv2.GaussianBlur(noise, (9, 9), 3)
 
@@ -86,7 +82,7 @@ def test_heic_is_read_upright(tmp_path):
     assert np.abs(photo.pixels - expected).mean() < 8.0
 
 
-def write_raw(file: Path, mosaic: Any, orientation: int = 1) -> None:
+def write_raw(file, mosaic, orientation=1):
     """The smallest DNG that LibRaw reads: black level 256, white level 4095."""
     unit = tuple(x for value in (1, 0, 0, 0, 1, 0, 0, 0, 1) for x in (value, 1))
     tags = [
@@ -137,7 +133,7 @@ def test_data_that_are_no_photograph_are_refused(data, words, tmp_path):
         read_photo(tmp_path / "x.png")
 
 
-def ball(light: Any, size: int = 60) -> Any:
+def ball(light, size=60):
     rows, columns = np.mgrid[:size, :size]
     x, y = (columns - (size - 1) / 2) / (0.45 * size), ((size - 1) / 2 - rows) / (0.45 * size)
     normals = np.stack([x, y, np.sqrt(np.clip(1 - x * x - y * y, 0, None))], axis=-1)
@@ -148,7 +144,7 @@ def ball(light: Any, size: int = 60) -> Any:
 
 
 @pytest.fixture
-def folder(tmp_path) -> Path:
+def folder(tmp_path):
     """Five photographs of a ball, their lights and a mask."""
     root = tmp_path / "photos"
     root.mkdir()
@@ -162,7 +158,7 @@ def folder(tmp_path) -> Path:
     return root
 
 
-def files_of(photographs: Photographs) -> list[str]:
+def files_of(photographs):
     return [Path(name).name for name in photographs.capture.bands["white"].files]
 
 
@@ -181,7 +177,7 @@ def test_a_folder_becomes_a_capture(folder):
     )
 
 
-def never(*_: Any) -> Any:
+def never(*_):
     raise AssertionError("it was decoded")
 
 

@@ -1,19 +1,14 @@
 """Captures behind polarising films: a parallel and a crossed series, image by image."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from io_shared import Build
 from refusals import bad_input
 from small_capture import edit
-from splitknit.capture import Ambient, Capture
+from splitknit.capture import Ambient
 from splitknit.io.capture import read_capture, with_rig, write_capture
 from splitknit.io.rig import write_rig
 from splitknit.model import Led
@@ -22,7 +17,7 @@ from splitknit.observation.observe import observe
 
 
 @pytest.fixture
-def polarised(build_capture: Build) -> Capture:
+def polarised(build_capture):
     """Four lights photographed through an analyser that turns."""
     capture = build_capture()
     white = capture.bands["white"]
@@ -34,7 +29,7 @@ def polarised(build_capture: Build) -> Capture:
     return replace(capture, bands={**series, "nir": capture.bands["nir"]})
 
 
-def neighbours(capture: Capture) -> Capture:
+def neighbours(capture):
     """The same with crossed films before LEDs of their own, beside the others."""
     first = len(capture.rig.leds)
     beside = []
@@ -78,11 +73,11 @@ def test_both_series_are_written_and_read_back(polarised, tmp_path, change, expo
     ).read_bytes()
 
 
-def crossed_with(**values: Any) -> Callable[[Any], None]:
+def crossed_with(**values):
     return lambda document: document["bands"]["white_crossed"].update(values)
 
 
-def _exposed(document: Any) -> None:
+def _exposed(document):
     band = document["bands"]["white_crossed"]
     band["images"] = [{"file": name, "exposure_s": 0.5} for name in band["images"]]
 

@@ -1,7 +1,5 @@
 """Steps of the `metric` method one by one: walls, films, lights to the side, notes, pixels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

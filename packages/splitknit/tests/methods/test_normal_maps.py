@@ -1,9 +1,5 @@
 """Normal maps: formats, axes, accuracy, and photographs that contradict them."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -21,7 +17,7 @@ HEIGHT_MM = np.where(INSIDE, 2.0 - 0.05 * X**2 - 0.08 * Y**2 + 0.06 * X * Y, 0.0
 SLOPES = -0.1 * X + 0.06 * Y, -0.16 * Y + 0.06 * X
 
 
-def normals_of(slope_x: np.ndarray, slope_y: np.ndarray) -> np.ndarray:
+def normals_of(slope_x, slope_y):
     vectors = np.dstack([-slope_x, -slope_y, np.ones_like(slope_x)])
     return vectors / np.linalg.norm(vectors, axis=2, keepdims=True) * INSIDE[..., None]
 
@@ -29,12 +25,12 @@ def normals_of(slope_x: np.ndarray, slope_y: np.ndarray) -> np.ndarray:
 NORMALS = normals_of(*SLOPES)
 
 
-def off_um(result: splitknit.Reconstruction) -> float:
+def off_um(result):
     error = (result.height_mm - HEIGHT_MM)[result.mask]
     return float(1000 * np.std(error))
 
 
-def written(kind: str, folder: Path) -> Path:
+def written(kind, folder):
     file = folder / f"map.{kind}"
     if kind == "npy":
         np.save(file, NORMALS.astype(np.float32))
@@ -89,7 +85,7 @@ def test_unknown_scale_is_a_note_and_the_files_are_those_of_a_result(tmp_path):
     assert np.allclose(again.normals_measured[INSIDE], NORMALS[INSIDE], atol=1e-3)
 
 
-def photographs(folder: Path) -> Path:
+def photographs(folder):
     """Eight photographs of the surface, and the list of their lights."""
     turns = 2 * np.pi * np.arange(8) / 8
     lights = np.column_stack([0.6 * np.cos(turns), 0.6 * np.sin(turns), np.full(8, 0.8)])

@@ -1,7 +1,5 @@
 """From images to normals, slopes and heights: in strips, without clipped values, in colour."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

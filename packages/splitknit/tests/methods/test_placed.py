@@ -1,7 +1,5 @@
 """Photographs of a finger and its surface in the full picture."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

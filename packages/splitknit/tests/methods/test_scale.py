@@ -1,7 +1,5 @@
 """A scale that nobody measured is stated later, or taken from the ridges; odd ones are doubted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

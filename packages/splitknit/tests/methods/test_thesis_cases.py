@@ -1,7 +1,5 @@
 """The thesis's cases: what each makes of visible and near-infrared images, and what it states."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,11 +1,7 @@
-from __future__ import annotations
-
 import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +9,6 @@ import pytest
 from refusals import bad_input
 from splitknit.networks.unet import (
     NO_TELEMETRY,
-    Network,
     load_network,
     run_network,
     running,
@@ -30,17 +25,17 @@ TINY = Path(__file__).parent / "tiny.onnx"
 
 
 @pytest.fixture(scope="module")
-def network() -> Network:
+def network():
     return load_network(TINY)
 
 
 @pytest.fixture(scope="module")
-def images() -> np.ndarray:
+def images():
     return np.random.default_rng(5).random((2, 3, 203, 150), dtype=np.float32)
 
 
 @pytest.fixture(params=["0", "", None])
-def telemetry(request, monkeypatch) -> None:
+def telemetry(request, monkeypatch):
     """The environment variable does not turn telemetry off."""
     monkeypatch.delenv(NO_TELEMETRY, raising=False)
     if request.param is not None:
@@ -63,7 +58,7 @@ def test_onnxruntime_imported_with_telemetry_is_refused():
 
 
 @pytest.fixture
-def offered(network: Network, monkeypatch) -> Iterator[tuple[list[str], list[Any]]]:
+def offered(network, monkeypatch):
     """Providers that onnxruntime, which `network` has imported, is made to offer, and those that
     were asked for; everything runs on the CPU."""
     import onnxruntime
@@ -71,7 +66,7 @@ def offered(network: Network, monkeypatch) -> Iterator[tuple[list[str], list[Any
     there, asked = ["CPUExecutionProvider"], []
     real = onnxruntime.InferenceSession
 
-    def session(weights: bytes, options: Any, providers: list[Any], enable_fallback: int) -> Any:
+    def session(weights, options, providers, enable_fallback):
         asked.append(providers)
         on_cpu = real(
             weights, options, providers=["CPUExecutionProvider"], enable_fallback=enable_fallback

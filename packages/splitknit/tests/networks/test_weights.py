@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -16,13 +14,13 @@ TINY = Path(__file__).parent / "tiny.onnx"
 
 
 @pytest.fixture
-def copy(tmp_path) -> Path:
+def copy(tmp_path):
     for suffix in (".onnx", ".json"):
         shutil.copy(TINY.with_suffix(suffix), tmp_path / f"net{suffix}")
     return tmp_path / "net.onnx"
 
 
-def write_card(weights: Path, **sizes: int) -> None:
+def write_card(weights, **sizes):
     digest = hashlib.sha256(weights.read_bytes()).hexdigest()
     card = {"format": FORMAT, "version": 1, "name": "net", "sha256": digest, **sizes}
     weights.with_suffix(".json").write_text(json.dumps(card))
@@ -43,7 +41,7 @@ def test_weights_with_a_changed_byte_are_refused(copy):
         load_network(copy)
 
 
-def message(*fields: tuple[int, bytes | int | str]) -> bytes:
+def message(*fields):
     """A message of Protocol Buffers, of numbers and parts below 2^14."""
     encoded = b""
     for number, value in fields:

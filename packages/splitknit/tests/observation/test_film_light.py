@@ -1,7 +1,5 @@
 """Light through polarising films: mosaics of films, specular and diffuse light."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ FILMS = {90: (0, 0), 45: (0, 1), 135: (1, 0), 0: (1, 1)}
 """Row and column of each in its block."""
 
 
-def mosaic_of(total: np.ndarray, polarised: np.ndarray, angle_deg: float) -> np.ndarray:
+def mosaic_of(total, polarised, angle_deg):
     """16-bit frame (H, W) of light of which a part is polarised at an angle, sampled where each
     pixel is."""
     frame = np.zeros(total.shape)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from splitknit.observation.light import Light
 from splitknit.observation.stored import decode_table, linear_image
 
 
-def light_of(pixels: np.ndarray, encoding: str = "linear", **changes: object) -> Light:
+def light_of(pixels, encoding="linear", **changes):
     count = len(pixels)
     fields = {"exposure": np.ones(count), "black_level": np.zeros(count), **changes}
     band = Band("white", pixels, tuple((k,) for k in range(count)), **fields)
@@ -22,9 +20,7 @@ def light_of(pixels: np.ndarray, encoding: str = "linear", **changes: object) ->
     return Light(band, Rig(Camera(10.0, pixels.shape[1:3]), leds), encoding)
 
 
-def random_pixels(
-    dtype: type = np.uint8, channels: int = 3, shape: tuple[int, int] = (7, 9)
-) -> np.ndarray:
+def random_pixels(dtype=np.uint8, channels=3, shape=(7, 9)):
     return np.random.default_rng(3).integers(20, 200, (3, *shape, channels)).astype(dtype)
 
 

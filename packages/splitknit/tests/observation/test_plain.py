@@ -1,9 +1,6 @@
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +23,7 @@ from splitknit.observation.observe import observe
 
 
 @pytest.fixture
-def plain(tmp_path) -> Path:
+def plain(tmp_path):
     rng = np.random.default_rng(2)
     for k in range(4):
         write_image(tmp_path / f"{k}.png", rng.integers(80, 200, (25, 35)).astype(np.uint8))
@@ -39,16 +36,14 @@ LIGHTS = np.array([[1.0, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 3]])
 
 
 @pytest.fixture
-def unmasked(plain: Path) -> Path:
+def unmasked(plain):
     """The photographs alone."""
     for name in ("mask.png", "dark.png"):
         (plain / name).unlink()
     return plain
 
 
-def convert(
-    plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any = None, **options: Any
-) -> Any:
+def convert(plain, lights=LIGHTS, count=4, intensities=None, **options):
     for k in range(count, 4):
         (plain / f"{k}.png").unlink()
     lights = np.asarray(lights, dtype=np.float64)
@@ -241,14 +236,14 @@ def test_the_encoding_that_a_png_states_is_used(tmp_path):
         encoding_of([tmp_path / "s.png", tmp_path / "n.png"], lambda: False)
 
 
-def ball_normals(size: int = 120) -> np.ndarray:
+def ball_normals(size=120):
     """Of a ball; their z is 0 beside it."""
     rows, columns = np.mgrid[:size, :size]
     x, y = (columns - size / 2 + 0.5) / (0.45 * size), (size / 2 - 0.5 - rows) / (0.45 * size)
     return np.stack([x, y, np.sqrt(np.clip(1.0 - x * x - y * y, 0, 1))], axis=-1)
 
 
-def ball_photographs(folder: Path, code: Any, count: int = 8, bright: Any = 1.0) -> Any:
+def ball_photographs(folder, code, count=8, bright=1.0):
     """A matt ball under `count` lights as `bright` as is given, stored through `code`; its
     directions."""
     normals = ball_normals()

@@ -1,14 +1,12 @@
 """The shape's grid: lights at a surface, integration, and one comparison of prediction and
 images."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from skin_scene import ALBEDO, COLOURS, Scene, fresnel, make_scene
+from skin_scene import ALBEDO, COLOURS, fresnel, make_scene
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.pixels import bin_mean
 from splitknit.skin.diffusion import SkinSettings, diffusion
@@ -30,7 +28,7 @@ def normals_of(height, grid):
 class Coarse:
     """A scene on the coarse grid, with its true height."""
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene):
         self.grid = coarsen(scene.grid, FACTOR)
         rows, columns = self.grid.shape
         part = np.s_[..., : rows * FACTOR, : columns * FACTOR]
@@ -48,7 +46,7 @@ class Coarse:
         )
 
     @property
-    def grey(self) -> BandImages:
+    def grey(self):
         return BandImages(("green",), self.white.stack[1:2], self.white.rig)
 
     def compare(self, bands):

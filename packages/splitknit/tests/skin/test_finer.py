@@ -1,8 +1,6 @@
 """A grid of half the pitch: it looks at the same places, and a coarse camera's relief is as good as
 a fine one's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The chart around a finger, and how views see it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -25,21 +23,21 @@ RIGHT = Sight("right", CAMERA, Plane(np.array([20.0, 0.0, -8.0]), LEAN))
 FRONT = Sight("front", CAMERA)
 
 
-def near_camera(distortion: tuple[float, ...]) -> Camera:
+def near_camera(distortion):
     """140 mm above the finger plane."""
     return Camera(12.0, (420, 900), 140.0, "perspective", MATRIX, distortion)
 
 
-def capsule_chart(pitch: float = 0.25, half_angle_deg: float = 170.0) -> Chart:
+def capsule_chart(pitch=0.25, half_angle_deg=170.0):
     angles, lengths = _angles(half_angle_deg, A, pitch), _lengths(-14.0, 10.0, pitch)
     return Chart(np.zeros(3), np.eye(3), angles, lengths, CAP)
 
 
-def off_ellipsoid(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+def off_ellipsoid(x, y, z):
     return np.sqrt((x / A) ** 2 + (np.maximum(y, 0) / CAP) ** 2 + (z / B) ** 2) - 1
 
 
-def capsule_radius(chart: Chart) -> np.ndarray:
+def capsule_radius(chart):
     """Distance of x^2/A^2 + max(y,0)^2/CAP^2 + z^2/B^2 = 1 along the rays."""
     _, rays = chart.rays()
     fan = rays * np.where(chart.length_mm[:, None, None] > 0, 1.0, np.array([1.0, 0.0, 1.0]))

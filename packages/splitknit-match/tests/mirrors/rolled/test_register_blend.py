@@ -1,7 +1,5 @@
 """Ridges of two views brought together, and blended."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -21,7 +19,7 @@ FRONT, RIGHT = Sight("front", CAMERA), Sight("right", CAMERA, PLANE)
 LEFT = Sight("left", CAMERA, Plane(PLANE.point_mm * [-1, 1, 1], LEAN * [-1, 1, 1]))
 
 
-def ridges(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
+def ridges(shape, seed=0):
     """Noise of one ridge period (6 px), whose directions wander."""
     noise = np.random.default_rng(seed).normal(size=shape).astype(np.float32)
     return cv2.GaussianBlur(noise, (0, 0), 1.5) - cv2.GaussianBlur(noise, (0, 0), 2.5)
@@ -34,13 +32,13 @@ def test_the_ridge_band_has_no_mean():
     assert np.corrcoef(band.ravel(), relief.ravel())[0, 1] > 0.95
 
 
-def cylinder(radius: float) -> tuple[Chart, np.ndarray]:
+def cylinder(radius):
     angles, lengths = _angles(100.0, 7.0, 0.1), _lengths(-14.0, 0.0, 0.1)
     chart = Chart(np.array([0.0, 0.0, -7.0]), np.eye(3), angles, lengths, 7.0)
     return chart, np.full(chart.shape, radius)
 
 
-def bulged(chart: Chart, more: float, texture_seed: int = 3) -> tuple[np.ndarray, ...]:
+def bulged(chart, more, texture_seed=3):
     """Ridges of front and mirror on a chart of radius 7; the finger bulges by `more` in between."""
     fine = np.linspace(0.0, np.pi / 2, 4001)
     radius = 7.0 + more * np.sin(2 * fine) ** 2

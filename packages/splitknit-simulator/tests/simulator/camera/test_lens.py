@@ -1,7 +1,5 @@
 """The twin's lens against OpenCV's, and what it lets through."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -21,7 +19,7 @@ DISTORTION = (0.3, -2.0, 4e-3, -3e-3, 5.0)
 CAMERA = Camera(18.9, (550, 800), 140.0, "perspective", MATRIX, DISTORTION)
 
 
-def _grid(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def _grid(camera):
     rows, columns = camera.image_size
     across, down = np.meshgrid(
         np.linspace(0.0, columns - 1.0, 23), np.linspace(0.0, rows - 1.0, 17)

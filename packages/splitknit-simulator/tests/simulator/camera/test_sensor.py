@@ -1,7 +1,5 @@
 """Noise, levels and encodings of the simulated sensor."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,15 +8,15 @@ from splitknit.observation.stored import decode_table
 from splitknit_simulator.camera.sensor import RESPONSE, SensorSettings, record
 
 
-def _grey(value: float, size: int = 128) -> np.ndarray:
+def _grey(value, size=128):
     return np.full((size, size, 3), value, dtype=np.float32)
 
 
-def _ramp(levels: int) -> np.ndarray:
+def _ramp(levels):
     return np.linspace(0, 1, levels, dtype=np.float32)[None, :, None].repeat(3, axis=2)
 
 
-def _stored(light: np.ndarray, seed: int = 0, band: str = "white", **settings) -> np.ndarray:
+def _stored(light, seed=0, band="white", **settings):
     return record(light, band, np.random.SeedSequence(seed), SensorSettings(**settings))
 
 

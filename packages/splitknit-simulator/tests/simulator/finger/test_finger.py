@@ -11,7 +11,6 @@ from splitknit.model import Camera
 from splitknit_simulator.finger.finger import (
     FREQUENCIES,
     FingerPose,
-    SimulatedFinger,
     draw_finger,
     finger_surface,
     placement_of,
@@ -19,7 +18,6 @@ from splitknit_simulator.finger.finger import (
 from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerBody, FingerShape
 from splitknit_simulator.finger.skin_map import FlexionCrease, SkinRelief
-from splitknit_simulator.surface import SimulatedSurface
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
 POSE = FingerPose(
@@ -30,19 +28,17 @@ SMALL = Camera(10.0, (420, 290))
 
 
 @pytest.fixture(scope="module")
-def finger() -> SimulatedFinger:
+def finger():
     drawn = draw_finger(2, "left_loop", print_settings=SHORT)
     return replace(drawn, printed=drawn.master())
 
 
 @pytest.fixture(scope="module")
-def seen(finger: SimulatedFinger) -> SimulatedSurface:
+def seen(finger):
     return finger_surface(finger, POSE, CAMERA)
 
 
-def window(
-    camera: Camera, row: int, column: int, factor: int, size: int
-) -> tuple[Camera, float, float]:
+def window(camera, row, column, factor, size):
     """A camera of `factor` times the scale for `size` pixels, and where the old pixel lies in its
     frame."""
     x = (column - (camera.image_size[1] - 1) / 2) / camera.px_per_mm

@@ -6,7 +6,6 @@ import pytest
 
 from refusals import bad_input
 from splitknit_simulator.finger.master_print import (
-    MasterPrint,
     MasterPrintSettings,
     ink_print,
     master_of_print,
@@ -20,11 +19,11 @@ V = 28.0 - np.arange(300) * 0.1
 
 
 @pytest.fixture(scope="module")
-def prints() -> list[MasterPrint]:
+def prints():
     return [master_print("left_loop", seed, SMALL) for seed in range(4)]
 
 
-def turn(angle: np.ndarray, row: int, column: int, reach: int) -> float:
+def turn(angle, row, column, reach):
     """How often the direction turns by pi around a square path, counter-clockwise (rows point
     down)."""
     side = np.arange(-reach, reach)

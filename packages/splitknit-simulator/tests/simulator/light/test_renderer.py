@@ -1,7 +1,5 @@
 """Light through and off the skin."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -129,9 +127,7 @@ def test_an_empty_mask_and_zero_workers_are_refused():
         RenderSettings(workers=0)
 
 
-def _wave(
-    slope: float, height: float = 0.02, size: int = 240, pitch_mm: float = 0.0264
-) -> SimulatedSurface:
+def _wave(slope, height=0.02, size=240, pitch_mm=0.0264):
     """A plane that is tilted about y by its slope along x, with a wave of `height` (mm) every 0.45
     mm across x."""
     x = (np.arange(size) - size / 2) * pitch_mm
@@ -139,11 +135,11 @@ def _wave(
     relief = height * np.sin(2 * np.pi * x / period)
     gradient = slope + height * 2 * np.pi / period * np.cos(2 * np.pi * x / period)
 
-    def normals(gx: np.ndarray) -> np.ndarray:
+    def normals(gx):
         n = np.stack([-gx, 0 * gx, np.ones_like(gx)], axis=-1) / np.sqrt(1 + gx * gx)[..., None]
         return np.broadcast_to(n, (size, size, 3)).astype(np.float32).copy()
 
-    def full(row: np.ndarray) -> np.ndarray:
+    def full(row):
         return np.broadcast_to(row, (size, size)).astype(np.float32).copy()
 
     return SimulatedSurface(
@@ -158,7 +154,7 @@ def _wave(
     )
 
 
-def _diffuse(surface: SimulatedSurface, led: Led, boundary: Boundary | None) -> np.ndarray:
+def _diffuse(surface, led, boundary):
     media = [replace(optics, relief_gain_per_um=0.0) for optics in _all_channels()[:3]]
     settings = RenderSettings(rim_exponent=0.0, reach_mm=1.0)
     image = render_band(surface, [led], Medium(media, 0.25, 0.0, boundary), settings)
