@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from batch_stores import CASES, pairs_of, rows_of, run, tables
 from splitknit.errors import BadInput, Refused
@@ -44,13 +45,13 @@ def test_rows_are_what_a_reconstruction_gives(people, reconstructed, tmp_path):
     (tmp_path / "print.png").write_bytes(row["print"])
     written = read_print_png(tmp_path / "print.png")
     place = result.input_from_upright, result.upright_size
-    np.testing.assert_array_equal(
+    assert_array_equal(
         written.image, relief_print(result.ridge_mm, result.mask, 1 / result.pitch_mm, *place)
     )
     assert written.resolution_ppi == pytest.approx(500, rel=1e-3)
     kept = Store(reconstructed).places("features", "ea")[row["capture"]].surface()
     for name, channel in surface_images(surface).channels.items():
-        np.testing.assert_array_equal(surface_images(kept).channels[name], channel)
+        assert_array_equal(surface_images(kept).channels[name], channel)
 
 
 def test_tables_hold_where_they_come_from(people, reconstructed):
@@ -204,8 +205,8 @@ def test_score_files_hold_what_the_store_holds(copies, tmp_path):
     run(population, out, "ridge")
     table = Store(out).scores("ea", "ridge")
     read = read_scores(out / "csv" / "ea_ridge.csv").scores
-    np.testing.assert_array_equal(read.score, table["similarity"])
-    np.testing.assert_array_equal(read.label, table["genuine"])
+    assert_array_equal(read.score, table["similarity"])
+    assert_array_equal(read.label, table["genuine"])
     assert read.label.sum() == 12
     assert np.isnan(read.score).sum() == 8
     assert np.nanmin(read.genuine) > np.nanmax(read.impostor)

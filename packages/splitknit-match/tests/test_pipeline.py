@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from kinds import FIGURES, turned
 from refusals import bad_input
@@ -57,13 +58,13 @@ def test_results_lie_on_the_input_grid(results, capture, preset):
     for field in fields:
         assert field.shape == capture.shape
         assert field.dtype == np.float32
-        np.testing.assert_array_equal(np.isfinite(field), result.mask)
+        assert_array_equal(np.isfinite(field), result.mask)
     assert (result.uncertainty_um is None) == (preset != "metric")
     inside = result.mask
     height_mm = result.ridge_mm + result.shape_mm
-    np.testing.assert_allclose(height_mm[inside], result.height_mm[inside], atol=1e-4)
+    assert_allclose(height_mm[inside], result.height_mm[inside], atol=1e-4)
     expected = normals_from_gradients(*height_gradients(result.height_mm, result.pitch_mm))
-    np.testing.assert_allclose(result.normals[inside], expected[inside], atol=1e-5)
+    assert_allclose(result.normals[inside], expected[inside], atol=1e-5)
     assert not result.normals[~inside].any()
 
 
@@ -170,12 +171,12 @@ def test_mesh_and_heights_are_one_surface(results, tmp_path):
     vertices = read_ply(tmp_path / "m.ply").vertices_mm
     assert len(vertices) == result.mask.sum()
     rows, columns = np.nonzero(result.mask)
-    np.testing.assert_array_equal(vertices[:, 2], result.height_mm[rows, columns])
+    assert_array_equal(vertices[:, 2], result.height_mm[rows, columns])
     turn = result.input_from_upright[:2, :2]
     upright = np.stack([vertices[:, 0], -vertices[:, 1]]) / result.pitch_mm  # column, row
     back = turn @ upright
-    np.testing.assert_allclose(back[0] - back[0].mean(), columns - columns.mean(), atol=0.01)
-    np.testing.assert_allclose(back[1] - back[1].mean(), rows - rows.mean(), atol=0.01)
+    assert_allclose(back[0] - back[0].mean(), columns - columns.mean(), atol=0.01)
+    assert_allclose(back[1] - back[1].mean(), rows - rows.mean(), atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -225,8 +226,8 @@ def test_a_given_mask_is_used_as_it_is(capture, truth):
     mask[100:104, 236:240] = False
     mask[-6:] = True
     result = reconstruct(replace(capture, mask=mask), "ea")
-    np.testing.assert_array_equal(result.mask, mask)
-    np.testing.assert_array_equal(np.isfinite(result.height_mm), mask)
+    assert_array_equal(result.mask, mask)
+    assert_array_equal(np.isfinite(result.height_mm), mask)
     assert result.facts["mask"] == "given"
     assert not result.facts["crease_found"]
 
@@ -258,7 +259,7 @@ def test_one_setting_changes_one_thing(
     result = reconstruct(capture, "snk", change)
     before, after = flatten(base.settings), flatten(result.settings)
     assert {name: after[name] for name in after if after[name] != before[name]} == change
-    np.testing.assert_array_equal(result.mask, base.mask)
+    assert_array_equal(result.mask, base.mask)
     assert not np.array_equal(result.height_mm, base.height_mm, equal_nan=True)
 
 
@@ -291,7 +292,7 @@ def test_a_surface_that_is_not_split_is_matched_by_its_height(results, preset, t
     unsplit, split = results[preset], results[f"{preset}-split"]
     assert unsplit.whole
     assert not split.whole
-    np.testing.assert_array_equal(unsplit.height_mm, split.height_mm)
+    assert_array_equal(unsplit.height_mm, split.height_mm)
     inside = unsplit.mask
     # the shape is the smooth part of the heights
     assert np.abs(unsplit.shape_mm - unsplit.height_mm)[inside].max() < 1
@@ -304,11 +305,11 @@ def test_a_surface_that_is_not_split_is_matched_by_its_height(results, preset, t
     from_file = read_surface(tmp_path / "result" / "height.npz")
     for surface in (surface_of(unsplit), surface_of(kept), from_file):
         relief = surface_images(surface).channels["relief"]
-        np.testing.assert_array_equal(relief, of_heights)
+        assert_array_equal(relief, of_heights)
     relief = surface_images(surface_of(split)).channels["relief"]
     assert np.corrcoef(relief.ravel(), of_heights.ravel())[0, 1] < 0.5
     if preset == "pr":  # the relief of SnK too
-        np.testing.assert_array_equal(split.ridge_mm, results["snk"].ridge_mm)
+        assert_array_equal(split.ridge_mm, results["snk"].ridge_mm)
 
 
 @pytest.mark.slow
@@ -318,7 +319,7 @@ def test_presets_that_share_a_located_finger_are_what_they_are_alone(capture):
         shared, alone = (reconstruct(source, preset) for source in (finger, capture))
         for name in ("height_mm", "ridge_mm", "shape_mm", "normals", "albedo", "mask"):
             fields = getattr(shared, name), getattr(alone, name)
-            np.testing.assert_array_equal(*fields, err_msg=f"{preset} {name}")
+            assert_array_equal(*fields, err_msg=f"{preset} {name}")
         assert shared.warnings == alone.warnings
         assert shared.quality == alone.quality
     with bad_input("located by other settings"):

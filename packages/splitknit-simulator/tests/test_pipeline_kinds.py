@@ -13,10 +13,10 @@ import pytest
 
 import kinds
 from refusals import bad_input
-from small_capture import copy_of, edit
+from small_capture import copy_of
 from splitknit.accuracy import compare
 from splitknit.capture import Capture
-from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.capture import read_capture
 from splitknit.io.images import read_image
 from splitknit.io.npz import read_npz
 from splitknit.nominal import default_rig
@@ -26,8 +26,6 @@ from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_su
 from splitknit_simulator.light.skin import SkinOptics
 from splitknit_simulator.scene import BackgroundSettings, TwinSettings
 from splitknit_simulator.twin import photograph, simulate_capture
-
-Truth = dict[str, np.ndarray]
 
 QUICK = {"metric.rounds": 1, "metric.coarse_steps": 2}
 """A short run of the metric recipe: enough to see that a kind of capture gets through."""
@@ -204,29 +202,9 @@ def test_jpeg_and_tiff_give_the_surface_of_png(suffix, twin_folder, truth, uprig
     assert difference.std() < (0.05 if suffix == "jpg" else 1e-4)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("tip_deg", [90, -90, 180])
-def test_the_tip_direction_of_a_file_is_used(tip_deg, capture, tmp_path):
-    quarter_turns = (tip_deg // 90) % 4
-    write_capture(kinds.turned(capture, quarter_turns, None), tmp_path / "capture")
-    document = tmp_path / "capture" / "capture.json"
-    edit(document, lambda capture: capture.update(tip_direction_deg=tip_deg))
-    result = reconstruct(read_capture(tmp_path / "capture"), "ea")
-    assert abs((result.facts["yaw_deg"] - tip_deg + 180) % 360 - 180) < 60
-    tip = np.linalg.inv(result.input_from_upright) @ [*tip_of(result.mask, quarter_turns), 1.0]
-    assert tip[1] < 0.1 * result.upright_size[0]
-
-
 @pytest.fixture(scope="module")
 def upright(capture):
     return reconstruct(capture, "ea")
-
-
-def tip_of(mask, quarter_turns):
-    """Column, row of the pixel of `mask` that lies furthest in the tip's direction."""
-    rows, columns = np.nonzero(mask)
-    k = int(np.argmin([rows, columns, -rows, -columns][quarter_turns]))
-    return float(columns[k]), float(rows[k])
 
 
 def test_a_mask_that_is_a_narrow_strip_is_refused(capture):

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from refusals import bad_input
 from splitknit.io.rig import rig_from_json, rig_to_json
@@ -53,9 +54,9 @@ def test_strength_falls_with_the_square_of_the_distance():
         Led("white", position_mm=(0, 300, 400), intensity=25.0),
     ).light_vectors()
     lengths = np.linalg.norm(vectors, axis=1)
-    np.testing.assert_allclose(lengths / lengths[0], [1.0, 0.25, 1.0])
+    assert_allclose(lengths / lengths[0], [1.0, 0.25, 1.0])
     assert lengths.mean() == pytest.approx(1.0)
-    np.testing.assert_allclose(vectors[2] / lengths[2], [0.0, 0.6, 0.8])
+    assert_allclose(vectors[2] / lengths[2], [0.0, 0.6, 0.8])
 
 
 THREE_LEDS = rig_of(
@@ -70,9 +71,7 @@ def test_lights_of_one_exposure_add():
     rig = THREE_LEDS.select([(0, 1), (2,), (0,)])
     assert len(rig.leds) == 3
     expected = np.array([[0, 1.2, 2.6], [1, 0, 0], [0, 0, 1]], dtype=float)
-    np.testing.assert_allclose(
-        rig.light_vectors(), expected / np.linalg.norm(expected, axis=1).mean()
-    )
+    assert_allclose(rig.light_vectors(), expected / np.linalg.norm(expected, axis=1).mean())
 
 
 def test_exposures_without_light_are_refused():
@@ -90,9 +89,9 @@ RIGHT = ((12.0, -10.0, -15.0), (12.0, 20.0, -15.0), (26.0, 20.0, -1.0), (26.0, -
 
 def test_the_normal_of_a_mirror_does_not_depend_on_the_order_of_its_corners():
     mirror = Mirror("right", RIGHT, 0.85)
-    np.testing.assert_allclose(mirror.normal, np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0), atol=1e-12)
-    np.testing.assert_allclose(mirror.point_mm, [19.0, 5.0, -8.0])
-    np.testing.assert_allclose(Mirror("right", RIGHT[::-1]).normal, mirror.normal, atol=1e-12)
+    assert_allclose(mirror.normal, np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0), atol=1e-12)
+    assert_allclose(mirror.point_mm, [19.0, 5.0, -8.0])
+    assert_allclose(Mirror("right", RIGHT[::-1]).normal, mirror.normal, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import handmade
@@ -155,7 +156,7 @@ def test_export_and_print_of_a_result_agree(people_folder, tmp_path, capsys):
     assert (tmp_path / "out" / "print.iso").read_bytes() == record
     export(capsys, tmp_path, "png", result, out="png")
     image = read_print_png(tmp_path / "png" / "right_index.png").image
-    np.testing.assert_array_equal(image, read_print_png(tmp_path / "print" / "print.png").image)
+    assert_array_equal(image, read_print_png(tmp_path / "print" / "print.png").image)
 
 
 def test_prints_are_imported(prints, tmp_path, capsys):
@@ -171,7 +172,7 @@ def test_prints_are_imported(prints, tmp_path, capsys):
         ("a.iso", "unknown"),
     ]
     image = read_print_png(tmp_path / "in" / "two-1.png").image
-    np.testing.assert_array_equal(image, spiral_print())
+    assert_array_equal(image, spiral_print())
     refusal = refusal_of(capsys, f"match {two} {prints}/a.png")
     assert "holds 2 prints; take them apart with 'splitknit import'" in refusal
 
@@ -184,8 +185,8 @@ def test_a_print_is_printed_at_500_ppi(prints, tmp_path, capsys):
     assert abs(view.count - len(PLACES)) <= 4
     centres = [0.5, 2.5, 4.5]  # in pixels of 1000 ppi
     with np.load(tmp_path / "out" / "map.npz") as arrays:
-        np.testing.assert_allclose(arrays["columns"][7, :3], centres, atol=1e-3)
-        np.testing.assert_allclose(arrays["rows"][:3, 7], centres, atol=1e-3)
+        assert_allclose(arrays["columns"][7, :3], centres, atol=1e-3)
+        assert_allclose(arrays["rows"][:3, 7], centres, atol=1e-3)
     options = ("--method", "relief", "--out", tmp_path / "no")
     assert "leave out --method" in refusal_of(capsys, "print", prints / "a.png", *options)
 
@@ -261,17 +262,17 @@ def test_an_exported_mesh_equals_the_phalange(tmp_path, capsys):
         assert (tmp_path / to / f"a.{to}").stat().st_mode & 0o777 == 0o600
     stl = tmp_path / "stl" / "a.stl"
     assert stl.read_bytes().startswith(b"splitknit, unit mm")
-    np.testing.assert_array_equal(read_stl(stl), ply.vertices_mm[ply.faces])
+    assert_array_equal(read_stl(stl), ply.vertices_mm[ply.faces])
     obj = tmp_path / "obj" / "a.obj"
     text = obj.read_text()
     assert text.startswith("# unit mm, splitknit")
     normals = [line.split()[1:] for line in text.splitlines() if line.startswith("vn ")]
-    np.testing.assert_allclose(np.array(normals, dtype=float), ply.normals, atol=1e-6)
+    assert_allclose(np.array(normals, dtype=float), ply.normals, atol=1e-6)
     mesh = trimesh.load(obj, process=False, maintain_order=True, force="mesh")
-    np.testing.assert_allclose(mesh.vertices, ply.vertices_mm, atol=1e-5)
-    np.testing.assert_array_equal(mesh.faces, ply.faces)
+    assert_allclose(mesh.vertices, ply.vertices_mm, atol=1e-5)
+    assert_array_equal(mesh.faces, ply.faces)
     light = decode_table(np.dtype(np.uint8), "srgb")[mesh.visual.vertex_colors[:, 0]]
-    np.testing.assert_allclose(light, ply.quality, atol=6e-3)
+    assert_allclose(light, ply.quality, atol=6e-3)
 
 
 def test_an_object_becomes_a_solid_a_model_and_maps(tmp_path, capsys):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 import rates_by_definition as reference
 from refusals import bad_input
@@ -83,9 +84,9 @@ def test_failures_are_rejections_or_left_out(sides):
     assert every.auc() == alone.auc()
     # ISO/IEC 19795-1: FAR = FMR (1 - FTA), FRR = FTA + FNMR (1 - FTA)
     genuine, impostor = (len(compared[k]) / len(sides[k]) for k in (0, 1))  # 1 - FTA
-    np.testing.assert_allclose(every.far, left_out.far * impostor)
+    assert_allclose(every.far, left_out.far * impostor)
     frr = 1 - genuine + (1 - left_out.gar) * genuine
-    np.testing.assert_allclose(1 - every.gar, frr, atol=1e-12)
+    assert_allclose(1 - every.gar, frr, atol=1e-12)
 
 
 @given(either)
@@ -97,8 +98,8 @@ def test_the_roc_rises_and_holds_every_point(sides):
     assert (np.diff(gars) >= 0).all()
     assert (np.diff(thresholds) <= 0).all()
     assert (fars[0], gars[0], fars[-1], gars[-1]) == (0, 0, 1, 1)
-    np.testing.assert_array_equal(fars, [np.mean(impostor >= t) for t in thresholds])
-    np.testing.assert_array_equal(gars, [np.mean(genuine >= t) for t in thresholds])
+    assert_array_equal(fars, [np.mean(impostor >= t) for t in thresholds])
+    assert_array_equal(gars, [np.mean(genuine >= t) for t in thresholds])
     # on a corner, or between two on a line along an axis
     along_an_axis = (fars[:-1] == fars[1:]) | (gars[:-1] == gars[1:])
     for _, far, frr in reference.points(*sides):

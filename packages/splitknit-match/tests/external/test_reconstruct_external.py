@@ -6,6 +6,7 @@ import re
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from splitknit.capture import Band, Capture
 from splitknit.cli.main import main
@@ -90,10 +91,10 @@ def phalange(data_dir):
 
 
 def assert_complete(result, mask):
-    np.testing.assert_array_equal(result.mask, mask)  # a given mask is used as it is
+    assert_array_equal(result.mask, mask)  # a given mask is used as it is
     for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
-        np.testing.assert_array_equal(np.isfinite(field), mask)
-    np.testing.assert_allclose(np.linalg.norm(result.normals[mask], axis=-1), 1.0, atol=1e-5)
+        assert_array_equal(np.isfinite(field), mask)
+    assert_allclose(np.linalg.norm(result.normals[mask], axis=-1), 1.0, atol=1e-5)
     assert not result.normals[~mask].any()
 
 
@@ -137,7 +138,7 @@ def test_measured_normals_are_those_of_photometric_stereo(bear):
     white = observe(capture).white
     plain, _ = lambertian(white.grey, white.rig.light_vectors(), capture.mask)
     measured = result.normals_measured
-    np.testing.assert_allclose(measured[capture.mask], plain[capture.mask], atol=1e-6)
+    assert_allclose(measured[capture.mask], plain[capture.mask], atol=1e-6)
     error_deg = angle_deg(measured, truth, capture.mask)
     assert error_deg < 8.95
     assert error_deg + 0.2 < angle_deg(result.normals, truth, capture.mask)

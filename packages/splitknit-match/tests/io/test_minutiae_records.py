@@ -6,6 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from numpy.testing import assert_allclose, assert_array_equal
 
 from fmr_samples import (
     ANSI_2009_BYTES,
@@ -68,16 +69,16 @@ def test_bytes_are_those_of_the_standards():
 
 def test_fields_are_where_the_standards_have_them():
     first, second = decode_minutiae_record(ISO_BYTES)
-    np.testing.assert_array_equal(first.x_px, [10, 300, 0])
-    np.testing.assert_array_equal(first.y_px, [20, 400, 0])
-    np.testing.assert_allclose(np.rad2deg(first.direction_rad), [90, 270, 358.59375])
-    np.testing.assert_array_equal(first.type, [1, 2, 0])
-    np.testing.assert_array_equal(first.quality, [50, 90, 0])
+    assert_array_equal(first.x_px, [10, 300, 0])
+    assert_array_equal(first.y_px, [20, 400, 0])
+    assert_allclose(np.rad2deg(first.direction_rad), [90, 270, 358.59375])
+    assert_array_equal(first.type, [1, 2, 0])
+    assert_array_equal(first.quality, [50, 90, 0])
     assert (first.size, first.resolution_ppcm, first.finger_quality) == ((500, 350), (197, 197), 80)
     assert (first.finger, first.impression) == ("right_index", "swipe")
     assert (second.finger, second.impression, second.count) == ("left_index", "live_plain", 0)
     (view,) = decode_minutiae_record(ANSI_BYTES)
-    np.testing.assert_allclose(np.rad2deg(view.direction_rad), [90, 270, 358])
+    assert_allclose(np.rad2deg(view.direction_rad), [90, 270, 358])
     assert (view.finger, view.impression, view.finger_quality) == (
         "right_thumb",
         "contactless",
@@ -92,7 +93,7 @@ def test_fields_are_where_the_standards_have_them():
             (80, 64),
             0,
         )
-        np.testing.assert_array_equal(view.quality, [0, 0])  # 254 and 255: not known
+        assert_array_equal(view.quality, [0, 0])  # 254 and 255: not known
 
 
 @pytest.mark.parametrize("standard", STANDARDS)
@@ -109,7 +110,7 @@ def test_what_is_written_is_read(standard):
         assert standard_of(data) == standard
         (read,) = decode_minutiae_record(data)
         for name in ("x_px", "y_px", "type", "quality"):
-            np.testing.assert_array_equal(getattr(read, name), getattr(view, name))
+            assert_array_equal(getattr(read, name), getattr(view, name))
         turn = np.angle(np.exp(1j * (read.direction_rad - view.direction_rad)))
         assert np.abs(turn).max(initial=0) <= np.deg2rad(1.0001)
         for name in ("finger", "impression", "finger_quality", "size", "resolution_ppcm"):
@@ -230,4 +231,4 @@ def test_what_cannot_be_said_is_not_written():
         with bad_input(words):
             encode_minutiae_record(wrong)
     assert decode_minutiae_record(encode_minutiae_record(many))[0].count == 255
-    np.testing.assert_array_equal(view.best(2).quality, [50, 90])
+    assert_array_equal(view.best(2).quality, [50, 90])

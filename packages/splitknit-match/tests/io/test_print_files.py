@@ -6,6 +6,7 @@ import struct
 import numpy as np
 import pytest
 import tifffile
+from numpy.testing import assert_array_equal
 
 from refusals import bad_input
 from splitknit.io.prints import PrintFile, encode_print_tiff, write_print_png
@@ -28,7 +29,7 @@ def write_tiff(path, *print_and_facts):
 def test_tiff_states_its_resolution(tmp_path, ppi):
     write_tiff(tmp_path / "a.tiff", IMAGE, ppi, {"software": "splitknit", "note": "Größe"})
     print_file = read(tmp_path / "a.tiff")
-    np.testing.assert_array_equal(print_file.image, IMAGE)
+    assert_array_equal(print_file.image, IMAGE)
     assert print_file.resolution_ppi == pytest.approx(ppi, rel=1e-6)
     assert print_file.text == {"software": "splitknit", "note": "Größe"}
     write_tiff(tmp_path / "b.tiff", IMAGE, ppi, {"note": "Größe", "software": "splitknit"})
@@ -43,7 +44,7 @@ def test_other_programs_see_it(tmp_path):
         with pillow.open(tmp_path / name) as image:
             assert image.mode == "L"
             assert float(image.info["dpi"][0]) == pytest.approx(1000, abs=0.02)
-            np.testing.assert_array_equal(np.asarray(image), IMAGE)
+            assert_array_equal(np.asarray(image), IMAGE)
 
 
 def test_tiffs_of_others_are_read(tmp_path):
@@ -72,7 +73,7 @@ def test_tiffs_of_others_are_read(tmp_path):
         (round(IMAGE.shape[0] * 1.25), IMAGE.shape[1]),
     )
     tifffile.imwrite(file, np.stack([IMAGE] * 3, axis=-1), photometric="rgb", metadata=None)
-    np.testing.assert_array_equal(read(file).image, IMAGE)
+    assert_array_equal(read(file).image, IMAGE)
     tifffile.imwrite(
         file, np.stack([IMAGE, IMAGE, IMAGE // 2], axis=-1), photometric="rgb", metadata=None
     )
@@ -108,4 +109,4 @@ def test_odd_tags_of_a_print_are_no_crash(tmp_path, tag, entry, resolution):
     path.write_bytes(data[: place + 2] + entry + data[place + 12 :])
     print_file = read(path)
     assert (print_file.resolution_ppi or 0) == pytest.approx(resolution)
-    np.testing.assert_array_equal(print_file.image, IMAGE)
+    assert_array_equal(print_file.image, IMAGE)

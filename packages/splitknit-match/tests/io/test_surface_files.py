@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from PIL import Image
 
 import splitknit
@@ -49,7 +50,7 @@ def test_the_colour_is_the_surfaces_and_not_the_highlights(dome):
     assert dome.colour is not None
     colour, true = dome.colour[MASK], COLOURS[MASK]
     assert np.abs(colour / (colour * true).sum() * (true * true).sum() - true).mean() < 0.02
-    np.testing.assert_allclose(colour @ GREY_WEIGHTS, dome.albedo[MASK], rtol=1e-4)
+    assert_allclose(colour @ GREY_WEIGHTS, dome.albedo[MASK], rtol=1e-4)
     assert not dome.colour[~MASK].any()
 
 
@@ -63,7 +64,7 @@ def test_a_result_keeps_its_colours(dome, tmp_path):
     assert (mesh.colours[mesh.vertices_mm[:, 0] > 0.2, 0] > 180).all()  # red
     assert (mesh.colours[mesh.vertices_mm[:, 0] < -0.2, 2] > 180).all()  # blue
     white = np.percentile(dome.colour[MASK], 99.9)
-    np.testing.assert_allclose(read.colour, np.minimum(dome.colour / white, 1.0), atol=0.01)
+    assert_allclose(read.colour, np.minimum(dome.colour / white, 1.0), atol=0.01)
 
 
 @pytest.mark.parametrize("vertices", [100_000, 500])
@@ -72,7 +73,7 @@ def test_a_model_has_a_texture_and_the_detail_that_its_mesh_lacks(dome, monkeypa
     facts, data = surface_bytes(dome, "glb", "a dome")
     mesh = loaded(data, "glb")
     assert len(mesh.vertices) == facts["vertices"] <= 1.1 * vertices
-    np.testing.assert_allclose(mesh.extents[:2], 2 * np.sqrt(0.8) * 45 / 9000, rtol=0.1)  # metres
+    assert_allclose(mesh.extents[:2], 2 * np.sqrt(0.8) * 45 / 9000, rtol=0.1)  # metres
     texture = np.asarray(mesh.visual.material.baseColorTexture)
     column, row = (mesh.visual.uv * texture.shape[1::-1]).T
     here = texture[(texture.shape[0] - row).astype(int), column.astype(int)]
@@ -114,7 +115,7 @@ def test_maps_state_their_scale(dome):
     levels = np.asarray(picture).astype(float)
     low, high = (float(picture.text[f"Gwy::{name}"]) for name in ("ZMin", "ZMax"))
     metres = low + levels / 65535 * (high - low)
-    np.testing.assert_allclose(1000 * metres[MASK], dome.height_mm[MASK], atol=2e-5)
+    assert_allclose(1000 * metres[MASK], dome.height_mm[MASK], atol=2e-5)
     assert not levels[~MASK].any()
     assert (levels[MASK].min(), levels[MASK].max()) == (1, 65535)
     assert (facts["unit"], facts["level_65535"]) == ("mm", pytest.approx(1000 * high))
@@ -126,7 +127,7 @@ def test_maps_state_their_scale(dome):
         cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)[..., ::-1] / 32767.5 - 1
         for data in (opengl, directx)
     )
-    np.testing.assert_allclose(up[MASK], dome.normals[MASK], atol=2e-5)
-    np.testing.assert_allclose(down, up * (1, -1, 1), atol=4e-5)
+    assert_allclose(up[MASK], dome.normals[MASK], atol=2e-5)
+    assert_allclose(down, up * (1, -1, 1), atol=4e-5)
     _, unscaled, _ = next(map_files(replace(dome, scale_known=False), "opengl", provenance({}, {})))
     assert (unscaled["unit"], unscaled["pitch"]) == ("px", 1.0)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy.stats import chi2
 
 from refusals import bad_input
@@ -287,8 +288,8 @@ def test_shipped_rates_of_the_fusion_are_real_then_simulated():
         for name in (methods.REAL_PRINTS, methods.TABLES["fusion"])
     )
     count = len(real["fmr"])
-    np.testing.assert_array_equal(table.fmr[:count], real["fmr"])
-    np.testing.assert_array_equal(table.similarity[:count], real["similarity"])
+    assert_array_equal(table.fmr[:count], real["fmr"])
+    assert_array_equal(table.similarity[:count], real["similarity"])
     assert table.fmr[count] < real["fmr"][-1]
     assert table.smallest == min(simulated["fmr"])
     assert (np.diff(table.fmr) <= 0).all()
@@ -361,8 +362,8 @@ def test_own_rates_come_back_from_their_file(tmp_path):
     path = tmp_path / "rates.json"
     path.write_text(json.dumps(document), encoding="utf-8")
     table = read_own_rates(path)
-    np.testing.assert_array_equal(table.fmr, document["fmr"])
-    np.testing.assert_array_equal(table.similarity, document["similarity"])
+    assert_array_equal(table.fmr, document["fmr"])
+    assert_array_equal(table.similarity, document["similarity"])
     assert (table.impostors, table.population, table.method) == (300, "of mine", "fusion")
     assert (table.rated_mm2, table.excluded_mm2) == (40.0, 0.0)
     rates = document["fmr"]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from splitknit_match.matching import coarse
 from splitknit_match.matching.coarse import (
@@ -73,7 +74,7 @@ def test_the_likely_alignment_is_the_true_one(angle_deg, right_mm, up_mm):
     assert len(alignments) <= 2
     true = rigid(a, b, np.deg2rad(angle_deg), right_mm, -up_mm)
     corners = np.array([[60, 60, 1], [120, 60, 1], [60, 140, 1]])
-    np.testing.assert_allclose(corners @ alignments[0].T, corners @ true.T, atol=2.0)
+    assert_allclose(corners @ alignments[0].T, corners @ true.T, atol=2.0)
 
 
 def circles():
@@ -105,7 +106,7 @@ def test_every_pose_of_a_part_is_tried(rows, columns, turn):
             middle[0] + columns[0] + cos * right - sin * down,
             middle[1] + rows[0] + sin * right + cos * down,
         )
-        np.testing.assert_allclose(poses[0] @ np.append(place, 1), expected, atol=1.5)
+        assert_allclose(poses[0] @ np.append(place, 1), expected, atol=1.5)
     for number, pose in enumerate(poses):
         assert abs(np.linalg.det(pose[:, :2]) - 1) < 1e-9
         for better in poses[:number]:
@@ -116,7 +117,7 @@ def test_the_inverse_leads_back():
     affine = np.array([[0.9, 0.2, 3.0], [-0.25, 1.1, -4.0]])
     place = np.array([7.0, -2.0])
     there = affine @ np.append(place, 1)
-    np.testing.assert_allclose(inverse(affine) @ np.append(there, 1), place)
+    assert_allclose(inverse(affine) @ np.append(there, 1), place)
 
 
 def test_a_part_that_occurs_twice_is_found_twice():
@@ -127,6 +128,6 @@ def test_a_part_that_occurs_twice_is_found_twice():
     part = replace(whole, value=value[30:91, 95:160], valid=whole.valid[30:91, 95:160])
     poses = every_pose(CoarseViews(replace(whole, value=value)), CoarseViews(part))
     corners = sorted(tuple(np.round(pose[:, 2]).astype(int)) for pose in poses[:2])
-    np.testing.assert_allclose(corners, [(20, 120), (95, 30)], atol=2)
+    assert_allclose(corners, [(20, 120), (95, 30)], atol=2)
     for pose in poses[:2]:
-        np.testing.assert_allclose(pose[:, :2], np.eye(2), atol=1e-9)
+        assert_allclose(pose[:, :2], np.eye(2), atol=1e-9)

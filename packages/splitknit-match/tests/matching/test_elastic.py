@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from splitknit_match.matching import elastic
 from splitknit_match.matching.elastic import (
@@ -36,7 +37,7 @@ def test_shifts_of_patches_are_recovered(shift):
     assert np.median(agreement.correlation[20:-20]) == pytest.approx(1.0, abs=0.02)
     # it must move back
     moved = np.median(agreement.shift, axis=0)
-    np.testing.assert_allclose(moved, [-shift[0], -shift[1]], atol=0.1)
+    assert_allclose(moved, [-shift[0], -shift[1]], atol=0.1)
 
 
 def test_too_little_valid_skin_is_not_compared():
@@ -63,15 +64,15 @@ def test_affine_fit_follows_a_stretched_skin():
     fitted = better_affine(patches, agreement, IDENTITY)
     fitted = better_affine(patches, compare_patches(patches, a, fitted), fitted)
     corners = np.array([[30, 30, 1], [170, 30, 1], [30, 190, 1], [170, 190, 1]], float)
-    np.testing.assert_allclose(corners @ fitted.T, corners @ true.T, atol=0.5)
+    assert_allclose(corners @ fitted.T, corners @ true.T, atol=0.5)
 
 
 def test_a_rigid_map_takes_middle_to_middle_and_turns():
     turn = rigid(texture(0, 41, 61), texture(0, 101, 81), np.pi / 2, 0.5, -0.3)
     # B's middle, moved by the shift, shows A's middle
-    np.testing.assert_allclose(turn @ [40 + 5, 50 - 3, 1], [30, 20], atol=1e-9)
+    assert_allclose(turn @ [40 + 5, 50 - 3, 1], [30, 20], atol=1e-9)
     # content to the right of A's middle is seen above (a smaller row)
-    np.testing.assert_allclose(turn @ [45, 47 - 10, 1], [40, 20], atol=1e-9)
+    assert_allclose(turn @ [45, 47 - 10, 1], [40, 20], atol=1e-9)
 
 
 def test_shifts_by_chance_have_no_support():
@@ -94,15 +95,13 @@ def patches(band):
 def test_patches_lie_on_a_centred_grid(band, patches):
     assert (patches.side, patches.step, patches.reach) == (24, 16, 4)
     assert patches.grid == (4, 3)  # (83 - 24) // 16 + 1, (67 - 24) // 16 + 1
-    np.testing.assert_array_equal(patches.origin, [5 + 11.5, 5 + 11.5])
+    assert_array_equal(patches.origin, [5 + 11.5, 5 + 11.5])
     expected = [(r, c) for r in range(4) for c in range(3)]
     kept = [(r, c) for r, c in expected if band.valid[5:29, 5 + 16 * c : 29 + 16 * c].mean() >= 0.6]
     assert kept == expected  # 6 of the first patch's 24 columns are not valid
-    np.testing.assert_array_equal(patches.cell, kept)
-    np.testing.assert_array_equal(patches.corner, 5 + 16 * np.array(kept))
-    np.testing.assert_allclose(
-        patches.centres, patches.origin + 16.0 * np.array([(c, r) for r, c in kept])
-    )
+    assert_array_equal(patches.cell, kept)
+    assert_array_equal(patches.corner, 5 + 16 * np.array(kept))
+    assert_allclose(patches.centres, patches.origin + 16.0 * np.array([(c, r) for r, c in kept]))
     for number, (row, column) in enumerate(patches.corner):
         square = np.s_[row : row + 24, column : column + 24]
         assert patches.fraction[number] == pytest.approx(band.valid[square].mean())
@@ -113,7 +112,7 @@ def test_a_band_smaller_than_a_patch_has_one():
     small = texture(2, 20, 23)
     patches = patch_grid(small)
     assert patches.grid == (1, 1)
-    np.testing.assert_array_equal(patches.corner, [[0, 0]])
+    assert_array_equal(patches.corner, [[0, 0]])
     assert patches.fraction[0] == pytest.approx(20 * 23 / 24**2)
     assert patches.energy[0] == pytest.approx((small.value**2).sum(), rel=1e-5)
     agreement = compare_patches(patches, small, IDENTITY)
@@ -142,7 +141,7 @@ def test_patches_correlate_as_plain_sums_do(band, patches):
             )
     down, right = np.array(np.unravel_index(table.argmax(), table.shape)) - 4
     assert 0 < abs(down) < 4
-    np.testing.assert_allclose(agreement.shift, [[-right, -down]], atol=0.5)
+    assert_allclose(agreement.shift, [[-right, -down]], atol=0.5)
     assert agreement.correlation[0] == pytest.approx(table.max(), abs=0.03)
     assert agreement.correlation[0] >= table.max() - 1e-5
     assert agreement.weight[0] == pytest.approx(alone.fraction[0])
@@ -167,7 +166,7 @@ def test_an_affine_fit_needs_six_patches_that_correlate():
     shift = np.ones((len(correlation), 2))
     correlation[:6] = 0.31  # (0.31 - 0.2)^2 > 0.01
     fitted = elastic.better_affine(patches, agreement_of(shift, correlation), IDENTITY)
-    np.testing.assert_allclose(fitted[:, 2], [-1, -1], atol=1e-6)
+    assert_allclose(fitted[:, 2], [-1, -1], atol=1e-6)
     correlation[5] = 0.29
     assert elastic.better_affine(patches, agreement_of(shift, correlation), IDENTITY) is IDENTITY
 
@@ -183,7 +182,7 @@ def test_bent_patches_are_compared_where_the_bend_takes_them():
     moved[:, 2] -= turn[:, :2] @ [2, -3]
     by_bend = compare_patches(patches, a, turn, bend)
     by_map = compare_patches(patches, a, moved)
-    np.testing.assert_array_equal(by_bend.used, by_map.used)
+    assert_array_equal(by_bend.used, by_map.used)
     assert np.median(np.abs(by_bend.correlation - by_map.correlation)) < 1e-3
     assert np.median(np.abs(by_bend.shift - by_map.shift)) < 0.01
 
@@ -215,7 +214,7 @@ def test_a_bend_is_laid_where_its_patches_lie():
     assert abs(np.median(agreement.shift[:, 0] - expected)) < 0.08
     assert abs(np.median(agreement.shift[:, 1])) < 0.05
     inner = np.abs(expected) < 2
-    np.testing.assert_allclose(agreement.shift[inner, 0], expected[inner], atol=0.2)
+    assert_allclose(agreement.shift[inner, 0], expected[inner], atol=0.2)
 
 
 def test_windows_of_odd_sides_are_searched_too():
@@ -225,4 +224,4 @@ def test_windows_of_odd_sides_are_searched_too():
     a = replace(b, value=np.roll(b.value, (3, -2), axis=(0, 1)))
     agreement = compare_patches(patches, a, IDENTITY)
     inner = agreement.used[10:-10]
-    np.testing.assert_allclose(agreement.shift[inner], np.tile([2, -3], (len(inner), 1)), atol=0.05)
+    assert_allclose(agreement.shift[inner], np.tile([2, -3], (len(inner), 1)), atol=0.05)

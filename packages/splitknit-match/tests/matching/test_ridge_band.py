@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from refusals import bad_input
 from splitknit.imaging.geometry import rotation_about
@@ -28,24 +29,6 @@ def test_wide_shapes_are_taken_out():
     assert np.corrcoef(plain[inner].ravel(), hilly[inner].ravel())[0, 1] > 0.99
 
 
-def test_ridges_even_on_a_cylinder_are_even_in_the_band():
-    radius, side = 8.0, 300
-    x = (np.arange(side) - 149.5) * PITCH  # up to 69 deg of slant
-    arc = radius * np.arcsin(x / radius)
-    ridge = np.broadcast_to(0.03 * np.sin(2 * np.pi * arc / 0.5), (side, side)).astype(np.float32)
-    shape = np.broadcast_to(np.sqrt(radius**2 - x**2), (side, side)).astype(np.float32)
-    mask = np.ones((side, side), np.bool_)
-    band = ridge_band(ridge, mask, PITCH, shape)
-    line = band.value[75]
-    known = np.flatnonzero(band.valid[75])
-    assert np.ptp(known) * 0.1 > 2 * radius * np.deg2rad(58)
-    crossings = known[:-1][(line[known[:-1]] < 0) & (line[known[:-1] + 1] >= 0)]
-    places = crossings - line[crossings] / (line[crossings + 1] - line[crossings])
-    # one crossing a period of 0.5 mm, nearly from side to side
-    np.testing.assert_allclose(np.diff(places)[1:-1], 5.0, atol=0.25)
-    np.testing.assert_allclose(np.diff(places)[8:-8], 5.0, atol=0.06)
-
-
 def test_prints_are_mirrored_and_inverted():
     ridge = stripes(0.5)
     # ink: ridges dark, mirrored
@@ -54,18 +37,6 @@ def test_prints_are_mirrored_and_inverted():
     band = ridge_band(ridge, np.ones((300, 300), np.bool_), PITCH)
     inner = slice(25, -25), slice(25, -25)
     assert np.corrcoef(from_print.value[inner].ravel(), band.value[inner].ravel())[0, 1] > 0.95
-
-
-def test_impossible_pitches_and_sizes_are_refused():
-    mask = np.ones((60, 60), bool)
-    relief = np.zeros((60, 60), np.float32)
-    for pitch_mm, words in ((1e-300, "pitch_mm"), (1e9, "pitch_mm"), (9.0, "more than a finger's")):
-        with bad_input(words):
-            ridge_band(relief, mask, pitch_mm)
-    with bad_input("ridge_mm holds heights"):
-        ridge_band(relief + np.float32(1e30), mask, 0.1)
-    with bad_input("more than a finger's"):  # 2.4 GB from a small archive
-        ridge_band(relief, mask, 0.05, relief, np.diag([0.01, 0.01, 1.0]), (10_000, 10_000))
 
 
 PITCH_MM = 0.05
@@ -133,11 +104,9 @@ def test_pixels_of_a_cylinder_are_steps_along_its_skin(angle_rad, middle_px):
     assert upright[row, :, 1] == pytest.approx(2 * row, abs=0.05)
     skin = np.abs(place_mm) < 2.8
     arc_mm = radius_mm * np.arcsin(place_mm[skin] / radius_mm)
-    np.testing.assert_allclose(np.diff(arc_mm), 0.1, atol=0.004)
+    assert_allclose(np.diff(arc_mm), 0.1, atol=0.004)
     assert np.ptp(arc_mm) == pytest.approx(0.1 * (skin.sum() - 1), rel=0.01)
-    np.testing.assert_allclose(
-        slant_cos[row, skin], np.sqrt(1 - (place_mm[skin] / radius_mm) ** 2), atol=0.02
-    )
+    assert_allclose(slant_cos[row, skin], np.sqrt(1 - (place_mm[skin] / radius_mm) ** 2), atol=0.02)
     # each row begins at the same place: at the middle of the known skin
     places = np.abs(upright[40:80, :, 0] - middle_px)
     assert np.ptp(np.argmin(places, axis=1)) <= 1
@@ -148,8 +117,8 @@ def test_slopes_along_the_finger_count_as_slant_only():
     columns, _, slant_cos = band_places(
         ALL, slope.astype(np.float32), np.eye(3), (SIDE, SIDE), pitch_mm=PITCH_MM
     )
-    np.testing.assert_allclose(np.diff(columns[60])[10:-10], 2, atol=1e-3)
-    np.testing.assert_allclose(slant_cos[40:-40, 40:-40], 1 / np.sqrt(1.25), atol=0.01)
+    assert_allclose(np.diff(columns[60])[10:-10], 2, atol=1e-3)
+    assert_allclose(slant_cos[40:-40, 40:-40], 1 / np.sqrt(1.25), atol=0.01)
 
 
 def test_steep_skin_is_left_out():
@@ -170,8 +139,8 @@ def test_what_lies_outside_the_mask_does_not_reach_in():
     band = ridge_band(relief, mask, PITCH_MM)
     for outside in (wild, missing):
         again = ridge_band(outside, mask, PITCH_MM)
-        np.testing.assert_array_equal(again.valid, band.valid)
-        np.testing.assert_allclose(again.value, band.value, atol=1e-5)
+        assert_array_equal(again.valid, band.valid)
+        assert_allclose(again.value, band.value, atol=1e-5)
     assert band.valid[23:97, 28:92].all()
     assert not band.valid[:, :24].any()
     assert not band.valid[:, 96:].any()
@@ -274,7 +243,7 @@ def test_a_ball_is_unrolled_from_the_middle_of_its_known_skin():
     skin = (np.abs(at_mm[0] - 4) < 1.5) & (np.abs(at_mm[1] - 7) < 2.5)
     off_mm = np.hypot(at_mm[0] - 5, at_mm[1] - 7)[skin]
     expected = np.sqrt(1 - (off_mm / radius_mm) ** 2)
-    np.testing.assert_allclose(slant_cos[skin], expected, atol=0.02)
+    assert_allclose(slant_cos[skin], expected, atol=0.02)
     # shifted by a step of the slopes' grid, one side would be too steep
     side = np.sign(at_mm[1] - 7)[skin]
     assert abs(((slant_cos[skin] - expected) * side).mean()) < 0.002
@@ -288,12 +257,12 @@ def test_steep_sides_are_unrolled_as_if_they_were_less_steep():
     steps = np.diff(columns[60])
     for side in (columns[60, :-1] < 50) & (columns[60, :-1] > 20), columns[60, :-1] > 190:
         inner = side & (columns[60, :-1] < 220)
-        np.testing.assert_allclose(steps[inner], 1.0, atol=0.02)
+        assert_allclose(steps[inner], 1.0, atol=0.02)
 
 
 def test_an_offset_of_the_relief_changes_nothing_up_to_the_edge():
     mask = np.zeros((SIDE, SIDE), bool)
     mask[40:200, 50:190] = True
     plain, offset = (ridge_band(wave(0.4) + add, mask, PITCH_MM) for add in (0, np.float32(20)))
-    np.testing.assert_array_equal(plain.valid, offset.valid)
-    np.testing.assert_allclose(plain.value, offset.value, atol=0.01)
+    assert_array_equal(plain.valid, offset.valid)
+    assert_allclose(plain.value, offset.value, atol=0.01)

@@ -6,6 +6,7 @@ import re
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from fmr_samples import three_minutiae
@@ -100,7 +101,7 @@ def test_a_print_without_resolution_is_refused_with_an_estimate(tmp_path, scale,
     assert "\n" not in message
     assert "`resolution_ppi` 500" in message
     stated = [int(ppi) for ppi in re.findall(r"fits (\d+) to (\d+)", message)[0]]
-    np.testing.assert_allclose(stated, [low, high], rtol=0.08)
+    assert_allclose(stated, [low, high], rtol=0.08)
     stored = read_one_finger(file, 500 * scale)
     assert isinstance(stored, PrintFile)
     assert print_at_500_ppi(stored).image.shape == (500, 380)
@@ -134,7 +135,7 @@ def test_white_ridges_are_turned_dark_and_reported(tmp_path):
     stored = read_one_finger(file)
     assert isinstance(stored, PrintFile)
     assert [finding.code for finding in stored.findings] == ["white-ridges"]
-    np.testing.assert_array_equal(stored.image, image)
+    assert_array_equal(stored.image, image)
 
 
 def test_ridges_are_turned_only_where_they_are_surely_light(tmp_path):
@@ -147,7 +148,7 @@ def test_ridges_are_turned_only_where_they_are_surely_light(tmp_path):
     file.write_bytes(saved(wet, "PNG", 500))
     found = read_one_finger(file)
     assert isinstance(found, PrintFile)
-    np.testing.assert_array_equal(found.image, wet)
+    assert_array_equal(found.image, wet)
     assert [finding.code for finding in found.findings] == ["unknown-polarity"]
 
 
@@ -160,7 +161,7 @@ def test_stated_ridges_are_taken_as_stated(ridges, tmp_path):
         found = read_one_finger(file, ridges=ridges)
         assert isinstance(found, PrintFile)
         assert not found.findings
-        np.testing.assert_array_equal(found.image, picture if ridges == "dark" else 255 - picture)
+        assert_array_equal(found.image, picture if ridges == "dark" else 255 - picture)
 
 
 def test_ridges_of_arrays_are_dark_unless_stated():
@@ -171,7 +172,7 @@ def test_ridges_of_arrays_are_dark_unless_stated():
     for ridges, picture in ((None, light), ("light", 255 - light)):
         side = read_side(held(light, 500, ridges), "metric")
         assert side.findings == ()
-        np.testing.assert_array_equal(side.picture, picture)
+        assert_array_equal(side.picture, picture)
 
 
 @pytest.mark.slow
@@ -308,7 +309,7 @@ def test_files_that_are_no_print_are_refused_in_one_sentence(tmp_path, data, wor
 
 def test_minutiae_of_records_lie_on_the_grid_of_500_ppi():
     same = minutiae_of(three_minutiae())
-    np.testing.assert_array_equal(same.x_px, three_minutiae().x_px)
+    assert_array_equal(same.x_px, three_minutiae().x_px)
     fine = three_minutiae(resolution_ppcm=(394, 394), quality=np.array([80, 0, 0]))
     half = minutiae_of(fine)
     assert np.abs(half.x_px - fine.x_px / 2).max() <= 0.51

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from enrolled import facts_of, refusal_of
 from refusals import bad_input
@@ -61,10 +62,10 @@ def check(folder, films, tmp_path, capsys):
     assert measured is not None and measured.leds == films.leds
     low, high = np.transpose(facts["leak_interval"])
     assert (low <= films.leak).all() and (films.leak <= high).all()
-    np.testing.assert_allclose(measured.brightness, films.brightness, rtol=0.005)
-    np.testing.assert_allclose(measured.shift_px, films.shift_px, atol=0.1)
+    assert_allclose(measured.brightness, films.brightness, rtol=0.005)
+    assert_allclose(measured.shift_px, films.shift_px, atol=0.1)
     assert measured.scale == pytest.approx(films.scale, abs=1e-4)
-    np.testing.assert_allclose(measured.leak, films.leak, rtol=0.05, atol=1e-4)
+    assert_allclose(measured.leak, films.leak, rtol=0.05, atol=1e-4)
     assert facts["findings"] == []
     assert max(facts["residual_rms_percent"]) < 1.0
     assert read_image(tmp_path / "left.png").shape[1] > 7 * 240
@@ -91,9 +92,7 @@ def test_the_highlight_of_neighbouring_leds_is_measured(bench):
         leds=tuple((k + 7,) for (k,) in crossed.leds),
     )
     light = measure_ball(replace(ball, bands={**ball.bands, "white_crossed": moved}), films)
-    np.testing.assert_allclose(
-        light[..., 0], usual[..., 0], rtol=0.03, atol=2e-5 * usual[..., 0].max()
-    )
+    assert_allclose(light[..., 0], usual[..., 0], rtol=0.03, atol=2e-5 * usual[..., 0].max())
 
 
 def _dark(folder):

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import gpiozero
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from test_contract_pi import PINS, pins  # noqa: F401 - a fixture
 
 from fake_picamera2 import FakePicamera2, FakeRequest, World
@@ -115,9 +116,9 @@ def test_raw_images_are_developed_in_linear_colours():
     colours = developed(raw, 10, 64 * 64, "BGGR", (1.5, 2.0))[4:-4, 4:-4]
     assert colours.dtype == np.uint16
     black = 64 * 64
-    np.testing.assert_allclose(colours[..., 0], black + 300 * 1.5 * 64, atol=1)
-    np.testing.assert_allclose(colours[..., 1], black + 200 * 64, atol=1)
-    np.testing.assert_allclose(colours[..., 2], black + 100 * 2.0 * 64, atol=1)
+    assert_allclose(colours[..., 0], black + 300 * 1.5 * 64, atol=1)
+    assert_allclose(colours[..., 1], black + 200 * 64, atol=1)
+    assert_allclose(colours[..., 2], black + 100 * 2.0 * 64, atol=1)
     clipped = developed(np.full((8, 8), 1023, dtype=np.uint16), 10, 64 * 64, "BGGR", (0.5, 1.0))
     assert (clipped == 65535).all()
     dark = developed(np.full((8, 8), 60, dtype=np.uint16), 10, 64 * 64, "BGGR", (2.0, 2.0))
@@ -142,7 +143,7 @@ def test_colours_follow_the_order_of_the_bayer_pattern(order):
     for place, colour in enumerate(order):
         raw[place // 2 :: 2, place % 2 :: 2] = {"R": 300, "G": 200, "B": 100}[colour]
     colours = developed(raw, 12, 0, order)[4:-4, 4:-4]
-    np.testing.assert_array_equal(colours.reshape(-1, 3)[0], [300 * 16, 200 * 16, 100 * 16])
+    assert_array_equal(colours.reshape(-1, 3)[0], [300 * 16, 200 * 16, 100 * 16])
     assert (colours == colours[0, 0]).all()
 
 

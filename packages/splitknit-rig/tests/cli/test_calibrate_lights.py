@@ -65,22 +65,6 @@ def refused(capsys, command, *words):
     return refusal_of(capsys, f"calibrate lights {command}", *words)
 
 
-def test_the_table_of_the_thesis_is_refused(capsys, tmp_path):
-    out = tmp_path / "rig.json"
-    message = refused(capsys, f"--table {THESIS}", *RIG, "--out", out)
-    for name in (
-        "white 0",
-        "white 2",
-        "white 5",
-        "white 6",
-        *(f"NIR {k}" for k in range(7)),
-        "--keep",
-    ):
-        assert name in message
-    assert "white 1" not in message
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_refusal_prints_the_facts_of_every_led(capsys, tmp_path):
     code, out, err = run(
         capsys, f"--table {THESIS}", *RIG, "--out", tmp_path / "rig.json", "--json"
@@ -135,13 +119,6 @@ def test_calibration_keeps_the_rest_of_the_rig(capsys, tmp_path):
     assert [led.intensity for led in rig.leds] == [led.intensity for led in known.leds]
     assert rig.provenance["source"] == known.provenance["source"]
     assert rig.mirrors == known.mirrors
-
-
-def test_the_same_table_gives_the_same_bytes(capsys, tmp_path):
-    table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5), (6, -4)])
-    for name in ("a.json", "b.json"):
-        assert run(capsys, f"--table {table}", *GOOD, "--out", tmp_path / name)[0] == 0
-    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
 def test_geometry_places_the_leds_on_the_stated_circle(capsys, tmp_path):

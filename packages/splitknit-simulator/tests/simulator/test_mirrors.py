@@ -245,17 +245,6 @@ def test_a_capture_has_the_drawn_mirrors_and_its_truth_the_true_ones(taken_once)
     assert set(capture.bands) == {"white"}
 
 
-@pytest.mark.slow
-def test_the_number_of_workers_does_not_change_the_bytes(taken_once):
-    chosen, capture, truth = taken_once
-    again, other_truth = simulate_capture(
-        4, settings=replace(chosen, render=replace(chosen.render, workers=1)), finger=FINGER
-    )
-    np.testing.assert_array_equal(capture.bands["white"].pixels, again.bands["white"].pixels)
-    for name, values in truth.items():
-        np.testing.assert_array_equal(values, other_truth[name])
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -4,6 +4,7 @@ finger."""
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from refusals import bad_input
 from splitknit.finger.mask import (
@@ -53,7 +54,7 @@ def test_a_finger_of_any_tone_is_segmented(draw_finger, tone, disturbance, least
     assert mask.shape == scene.mask.shape
     assert mask.dtype == np.bool_
     assert overlap(mask, scene.mask) > least
-    np.testing.assert_array_equal(mask, fill_holes(largest_component(mask)))
+    assert_array_equal(mask, fill_holes(largest_component(mask)))
 
 
 @pytest.mark.parametrize(
@@ -100,7 +101,7 @@ def test_the_mask_does_not_depend_on_scale_and_brightness(draw_finger):
     mask = finger_mask(scene.rgb, 22.0)
     assert overlap(mask, scene.mask) > 0.99
     assert overlap(finger_mask(scene.rgb * np.float32(0.05), 22.0), mask) > 0.998
-    np.testing.assert_array_equal(mask, finger_mask(scene.rgb, 22.0))
+    assert_array_equal(mask, finger_mask(scene.rgb, 22.0))
 
 
 def test_a_stick_across_the_finger_is_cut_off(draw_finger):
@@ -189,11 +190,11 @@ def test_region_operations_agree_with_those_on_the_whole_image(box, radius):
         cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         for part in (mask, ~mask)
     )
-    np.testing.assert_allclose(depth_inside(mask), inside, rtol=1e-6)
-    np.testing.assert_array_equal(erode(mask, radius), inside > radius)
-    np.testing.assert_array_equal(dilate(mask, radius), outside <= radius)
+    assert_allclose(depth_inside(mask), inside, rtol=1e-6)
+    assert_array_equal(erode(mask, radius), inside > radius)
+    assert_array_equal(dilate(mask, radius), outside <= radius)
     near = outside <= radius
-    np.testing.assert_allclose(distance_outside(mask, radius)[near], outside[near], rtol=1e-6)
+    assert_allclose(distance_outside(mask, radius)[near], outside[near], rtol=1e-6)
     assert (distance_outside(mask, radius)[~near] > radius).all()
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         (~mask).astype(np.uint8), connectivity=4
@@ -202,7 +203,7 @@ def test_region_operations_agree_with_those_on_the_whole_image(box, radius):
         int(v) for line in (labels[0], labels[-1], labels[:, 0], labels[:, -1]) for v in line
     }
     small = [k for k in range(1, count) if k not in at_border and stats[k, cv2.CC_STAT_AREA] <= 2]
-    np.testing.assert_array_equal(fill_holes(mask, 2.0), mask | np.isin(labels, small))
+    assert_array_equal(fill_holes(mask, 2.0), mask | np.isin(labels, small))
 
 
 def test_spurs_and_small_holes_are_removed():

@@ -100,13 +100,6 @@ def test_glare_that_turns_with_the_light_is_no_speck():
     assert fractions(same, 24.0)[1] > 0.01
 
 
-def test_finer_images_are_measured_at_one_scale():
-    fine = marked(24.0, 300, 0.1, 0.3)
-    rows, columns = fine.shape[1] // 2, fine.shape[2] // 2
-    binned = fine.reshape(4, rows, 2, columns, 2).mean(axis=(2, 4), dtype=np.float32)
-    assert fractions(fine, 24.0) == pytest.approx(fractions(binned, 12.0), abs=1e-4)
-
-
 def test_coarse_images_are_not_measured():
     quality = capture_quality(skin(11.0), np.ones((154, 132), bool), 11.0)
     assert quality["dark_specks"] is None and quality["bright_specks"] is None

@@ -3,6 +3,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from refusals import bad_input
 from splitknit.imaging.view import view_of
@@ -28,9 +29,9 @@ def test_addition_is_the_sum_inside_the_mask():
     mask[1:4, 2:6] = True
     knitted = add(ridge, shape, mask)
     assert knitted.dtype == np.float32
-    np.testing.assert_allclose(knitted[mask], (ridge + shape)[mask], rtol=1e-6)
+    assert_allclose(knitted[mask], (ridge + shape)[mask], rtol=1e-6)
     assert np.isnan(knitted[~mask]).all()
-    np.testing.assert_allclose(add(ridge, shape), ridge + shape, rtol=1e-5, atol=1e-6)
+    assert_allclose(add(ridge, shape), ridge + shape, rtol=1e-5, atol=1e-6)
 
 
 def test_crossover_takes_fine_from_one_and_coarse_from_the_other():
@@ -38,7 +39,7 @@ def test_crossover_takes_fine_from_one_and_coarse_from_the_other():
     fine_1, coarse_1 = waves(size, 8.0), 3.0 * waves(size, 80.0)
     fine_2, coarse_2 = 0.2 * waves(size, 8.0), 2.0 * waves(size, 80.0) + 5.0
     knitted = crossover(fine_1 + coarse_1 - 7.0, fine_2 + coarse_2, keep_fine)
-    np.testing.assert_allclose(knitted, fine_1 + coarse_2, atol=1e-5)
+    assert_allclose(knitted, fine_1 + coarse_2, atol=1e-5)
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.3, 1.0])
@@ -48,7 +49,7 @@ def test_what_both_surfaces_agree_on_is_kept_whatever_the_response(gain):
     surface = rng.normal(size=(24, 31)).cumsum(axis=0)
     mask = np.hypot(*(np.mgrid[0:24, 0:31] - np.array([[[12]], [[15]]]))) < 10
     knitted = crossover(surface + 4.0, surface, lambda omega: np.full(omega.shape, gain), mask)
-    np.testing.assert_allclose(knitted[mask], surface[mask], atol=1e-5)
+    assert_allclose(knitted[mask], surface[mask], atol=1e-5)
     assert np.isnan(knitted[~mask]).all()
 
 
@@ -70,7 +71,7 @@ def test_values_outside_the_mask_do_not_matter():
     mask = np.zeros((16, 16), dtype=bool)
     mask[3:12, 4:14] = True
     dirty = np.where(mask, visible, np.nan)
-    np.testing.assert_array_equal(
+    assert_array_equal(
         crossover(visible, shape, keep_fine, mask), crossover(dirty, shape, keep_fine, mask)
     )
 

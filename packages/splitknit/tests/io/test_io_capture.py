@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from refusals import bad_input
 from small_capture import edit
@@ -23,13 +24,13 @@ def assert_same(a, b):
     for key, first in a.bands.items():
         second = b.bands[key]
         assert first.pixels.dtype == second.pixels.dtype
-        np.testing.assert_array_equal(first.pixels, second.pixels)
+        assert_array_equal(first.pixels, second.pixels)
         assert first.leds == second.leds
-        np.testing.assert_array_equal(first.exposure, second.exposure)
-        np.testing.assert_array_equal(first.black_level, second.black_level)
+        assert_array_equal(first.exposure, second.exposure)
+        assert_array_equal(first.black_level, second.black_level)
         assert (first.ambient is None) == (second.ambient is None)
         if first.ambient is not None:
-            np.testing.assert_array_equal(first.ambient.pixels, second.ambient.pixels)
+            assert_array_equal(first.ambient.pixels, second.ambient.pixels)
             assert first.ambient.exposure == second.ambient.exposure
             assert first.ambient.black_level == second.ambient.black_level
     assert a.rig.leds == b.rig.leds
@@ -40,7 +41,7 @@ def assert_same(a, b):
         assert getattr(a, name) == getattr(b, name)
     assert (a.mask is None) == (b.mask is None)
     if a.mask is not None:
-        np.testing.assert_array_equal(a.mask, b.mask)
+        assert_array_equal(a.mask, b.mask)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -74,7 +75,7 @@ def test_a_written_capture_is_read_back(dtype, channels, images, tmp_path, build
     assert_same(capture, again)
     assert {file.suffix[1:] for file in (tmp_path / "c").glob("*_[0-9]*")} == {images}
     assert again.truth == tmp_path / "c" / "truth.npz"
-    np.testing.assert_array_equal(read_npz(again.truth)["height_mm"], truth["height_mm"])
+    assert_array_equal(read_npz(again.truth)["height_mm"], truth["height_mm"])
     assert again.hashes == {
         name.name: hashlib.sha256(name.read_bytes()).hexdigest()
         for name in (tmp_path / "c").iterdir()
@@ -126,9 +127,9 @@ def test_exposure_gain_and_black_level_bring_images_to_one_scale(folder):
     assert band.exposure.tolist() == [2.0, 2.0, 1.0, 1.0]
     assert band.black_level.tolist() == [3.0, 0.0, 0.0, 0.0]
     after = observe(capture).white.grey
-    np.testing.assert_allclose(after[0], (before[0] - 3 / 255) / 2, atol=1e-6)
-    np.testing.assert_allclose(after[1], before[1] / 2, atol=1e-6)
-    np.testing.assert_allclose(after[2:], before[2:])
+    assert_allclose(after[0], (before[0] - 3 / 255) / 2, atol=1e-6)
+    assert_allclose(after[1], before[1] / 2, atol=1e-6)
+    assert_allclose(after[2:], before[2:])
 
 
 @pytest.mark.parametrize(
@@ -175,7 +176,7 @@ def test_a_mask_of_any_image_type_is_read(folder):
         write_image(folder / "m.png", values)
         read = read_capture(folder).mask
         assert read is not None
-        np.testing.assert_array_equal(read, mask > 0)
+        assert_array_equal(read, mask > 0)
 
 
 @pytest.mark.parametrize(
@@ -428,7 +429,7 @@ def test_a_written_rig_is_read_back(tmp_path):
     assert rig.leds == leds
     assert rig.provenance == {"by": "hand", "residuals": [1, 2.5]}
     assert rig.camera.matrix is not None
-    np.testing.assert_array_equal(rig.camera.matrix, MATRIX)
+    assert_array_equal(rig.camera.matrix, MATRIX)
     for name in ("px_per_mm", "image_size", "height_mm", "model", "distortion", "shading"):
         assert getattr(rig.camera, name) == getattr(camera, name)
     first = (tmp_path / "rig.json").read_bytes()

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from numpy.testing import assert_array_equal
 from PIL import Image
 
 from png_files import PNG, chunk
@@ -109,9 +110,9 @@ def test_written_files_keep_their_pixels_and_bytes(tmp_path):
         path = tmp_path / f"image.{suffix}"
         write_image(path, image)
         assert image_size(path) == (12, 17)
-        np.testing.assert_array_equal(read_image(path), image)
+        assert_array_equal(read_image(path), image)
         if suffix != "png":
-            np.testing.assert_array_equal(read_by_all(path), image)
+            assert_array_equal(read_by_all(path), image)
         first = path.read_bytes()
         write_image(path, image)
         assert path.read_bytes() == first
@@ -214,7 +215,7 @@ def test_tiff_is_decoded_and_refused_where_it_is_truncated(options, compression,
     for image in (smooth((41, 57, 3), dtype), smooth((41, 57), dtype)):
         photometric = "rgb" if image.ndim == 3 else "minisblack"
         data = tiff(image, photometric=photometric, compression=compression, **options)
-        np.testing.assert_array_equal(decode_image(data, "x"), image.reshape(41, 57, -1))
+        assert_array_equal(decode_image(data, "x"), image.reshape(41, 57, -1))
         for length in range(0, len(data), 97):
             with bad_input(r"^shot\.tif"):
                 decode_image(data[:length], "shot.tif")
@@ -228,7 +229,7 @@ def test_compressed_tiff_of_libtiff_is_decoded(dtype, compression, predictor):
     image = smooth((41, 57, 3), dtype)
     options = [cv2.IMWRITE_TIFF_COMPRESSION, compression, cv2.IMWRITE_TIFF_PREDICTOR, predictor]
     data = cv2.imencode(".tif", image[..., ::-1], options)[1].tobytes()
-    np.testing.assert_array_equal(decode_image(data, "x"), image)
+    assert_array_equal(decode_image(data, "x"), image)
 
 
 @pytest.mark.parametrize("shape", [(40, 50), (40, 50, 1), (40, 50, 3)])
@@ -237,7 +238,7 @@ def test_compressed_tiff_keeps_pixels_and_bytes_and_is_refused_where_it_is_cut(d
     image = smooth(shape, dtype)
     data = encode_image(image, ".tiff", compress=True)
     assert encode_image(image, ".tiff", compress=True) == data
-    np.testing.assert_array_equal(decode_image(data, "x"), image.reshape(40, 50, -1))
+    assert_array_equal(decode_image(data, "x"), image.reshape(40, 50, -1))
     for length in range(8, len(data) - 200, 97):
         with bad_input(r"^shot\.tif"):
             decode_image(data[:length], "shot.tif")
@@ -253,7 +254,7 @@ def zstd_tiff(image, **tags):
 
 def test_kinds_of_tiff_by_zstandard_are_decoded_or_refused(capfd):
     image = smooth((30, 20, 4))
-    np.testing.assert_array_equal(decode_image(zstd_tiff(image), "x"), image[..., :3])
+    assert_array_equal(decode_image(zstd_tiff(image), "x"), image[..., :3])
     with bad_input("or stored turned"):
         decode_image(zstd_tiff(image, tag274=6), "x")
     data = bytearray(zstd_tiff(np.zeros((300, 400), np.uint8)))
@@ -279,13 +280,11 @@ def test_a_bomb_of_zstandard_is_refused_before_memory_is_taken():
 def test_tiff_with_alpha_or_white_as_zero_is_decoded():
     image = smooth((20, 30, 4))
     alpha = tiff(image, photometric="rgb", extrasamples=["unassalpha"])
-    np.testing.assert_array_equal(decode_image(alpha, "x"), image[..., :3])
+    assert_array_equal(decode_image(alpha, "x"), image[..., :3])
     for compression in (None, "zlib"):
         for grey in (image[..., 0], image[..., 0].astype(np.uint16) * 257):
             inverted = tiff(grey, photometric="miniswhite", compression=compression)
-            np.testing.assert_array_equal(
-                decode_image(inverted, "x")[..., 0], np.iinfo(grey.dtype).max - grey
-            )
+            assert_array_equal(decode_image(inverted, "x")[..., 0], np.iinfo(grey.dtype).max - grey)
 
 
 @pytest.mark.parametrize(

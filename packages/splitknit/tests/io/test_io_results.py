@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from numpy.testing import assert_allclose, assert_array_equal
 
 import splitknit
 from refusals import bad_input
@@ -41,11 +42,11 @@ def test_triangles_face_the_camera_and_cover_the_mask():
     faces, index = triangulate(valid)
     vertices = np.stack([x[valid], y[valid], z[valid]], axis=1)
     assert faces.dtype == index.dtype == np.int32
-    np.testing.assert_array_equal(index >= 0, valid)
-    np.testing.assert_array_equal(index[valid], np.arange(len(vertices)))
+    assert_array_equal(index >= 0, valid)
+    assert_array_equal(index[valid], np.arange(len(vertices)))
     a, b, c = (vertices[faces[:, k]].astype(float) for k in range(3))
     area = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
-    np.testing.assert_allclose(area, 0.005, rtol=1e-3)  # half a pixel each, and never turned over
+    assert_allclose(area, 0.005, rtol=1e-3)  # half a pixel each, and never turned over
     squares = np.lib.stride_tricks.sliding_window_view(valid, (2, 2)).sum(axis=(2, 3))
     assert len(faces) == 2 * (squares == 4).sum() + (squares == 3).sum()
     assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
@@ -60,10 +61,10 @@ def test_a_ply_file_keeps_vertices_normals_and_faces(tmp_path):
     shade = rng.random(len(vertices)).astype(np.float32)
     write_ply(tmp_path / "m.ply", (vertices, normals, shade), faces, ["units mm", "splitknit"])
     mesh = read_ply(tmp_path / "m.ply")
-    np.testing.assert_array_equal(mesh.vertices_mm, vertices)
-    np.testing.assert_array_equal(mesh.normals, normals)
-    np.testing.assert_array_equal(mesh.quality, shade)
-    np.testing.assert_array_equal(mesh.faces, faces)
+    assert_array_equal(mesh.vertices_mm, vertices)
+    assert_array_equal(mesh.normals, normals)
+    assert_array_equal(mesh.quality, shade)
+    assert_array_equal(mesh.faces, faces)
     assert mesh.comments == ("units mm", "splitknit")
     data = (tmp_path / "m.ply").read_bytes()
     start = data.index(b"end_header\n") + 11
@@ -86,7 +87,7 @@ def test_a_height_tiff_keeps_heights_pitch_and_provenance(tmp_path):
     facts = provenance({"shape": {"sigma": 1.5}}, {"white_0.png": "ab"})
     write_float_tiff(path, height, "mm", facts, 1 / 75.7)
     read, pitch_mm, metadata = read_height_tiff(path)
-    np.testing.assert_array_equal(read, height)
+    assert_array_equal(read, height)
     assert pitch_mm == 1 / 75.7
     assert metadata["unit"] == "mm" and metadata["version"] == splitknit.__version__
     assert metadata["inputs"] == {"white_0.png": "ab"}
@@ -97,7 +98,7 @@ def test_a_height_tiff_keeps_heights_pitch_and_provenance(tmp_path):
         assert numerator / denominator == pytest.approx(75.7 * 25.4, rel=1e-6)
         assert tags["XResolution"].value == tags["YResolution"].value
         assert tags["ResolutionUnit"].value == 2  # inch
-    np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), height)
+    assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), height)
     first = path.read_bytes()
     write_float_tiff(path, height, "mm", facts, 1 / 75.7)
     assert path.read_bytes() == first
@@ -116,7 +117,7 @@ def test_a_print_as_tiff_is_read_by_all_whatever_its_texts_are_called(tmp_path):
     text = {"shape": "oval", 'a"shape': '{"shape":[1]}'}
     path = tmp_path / "print.tiff"
     path.write_bytes(encode_print_tiff(image, 500, text))
-    np.testing.assert_array_equal(read_by_all(path), image)
+    assert_array_equal(read_by_all(path), image)
     assert decode_print_image(path.read_bytes(), "x").text == text
 
 
@@ -126,14 +127,14 @@ def test_a_print_keeps_its_resolution_and_texts(tmp_path):
     path = tmp_path / "print.png"
     write_print_png(path, image, 500, text)
     stored = read_print_png(path)
-    np.testing.assert_array_equal(stored.image, image)
+    assert_array_equal(stored.image, image)
     assert stored.text == text
     assert stored.resolution_ppi == pytest.approx(500, abs=0.01)
     data = path.read_bytes()
     place = data.index(b"pHYs")
     assert struct.unpack(">IIB", data[place + 4 : place + 13]) == (19685, 19685, 1)
     assert place < data.index(b"IDAT")
-    np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), image)
+    assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), image)
     write_print_png(path, image)
     assert read_print_png(path).text == {}
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from io_shared import import_photographs
@@ -58,11 +59,11 @@ def test_the_exif_orientation_is_applied(orientation, suffix, tmp_path):
 
 def test_bmp_and_float_tiff_are_read_and_nan_is_refused(tmp_path):
     Image.fromarray(picture()).save(tmp_path / "x.bmp")
-    np.testing.assert_array_equal(read_photo(tmp_path / "x.bmp").pixels, picture())
+    assert_array_equal(read_photo(tmp_path / "x.bmp").pixels, picture())
     values = (picture() / 7.0).astype(np.float32)
     for options in ({}, {"compression": "zlib", "tile": (16, 16)}):
         tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb", **options)
-        np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
+        assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
     values[3, 4] = np.nan
     tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
     with bad_input("not finite"):
@@ -107,7 +108,7 @@ def test_raw_values_are_linear_and_on_one_scale(tmp_path):
     assert dim.pixels.shape == (96, 64, 3) and dim.pixels.dtype == np.uint16
     assert dim.orientation == 6
     dark, light = (photo.pixels[20:-20, 20:-20].mean(axis=(0, 1)) for photo in (dim, bright))
-    np.testing.assert_allclose(light / dark, (3000 - 256) / (500 - 256), rtol=0.01)
+    assert_allclose(light / dark, (3000 - 256) / (500 - 256), rtol=0.01)
     assert np.ptp(light) < 0.01 * light.mean()  # no white balance
 
 
@@ -283,9 +284,7 @@ def test_a_series_with_one_exif_orientation_is_turned_as_a_whole(folder):
             file, exif=exif
         )
     imported = import_photographs(folder)
-    np.testing.assert_array_equal(
-        imported.capture.bands["white"].pixels[0, ..., 0], ball(DIRECTIONS[0])
-    )
+    assert_array_equal(imported.capture.bands["white"].pixels[0, ..., 0], ball(DIRECTIONS[0]))
     assert any("orientation 3" in str(note) for note in imported.notes)
     Image.fromarray(ball(DIRECTIONS[2])).save(folder / "p10.png")
     with bad_input(r"p10\.png is turned differently"):
@@ -302,7 +301,7 @@ def test_floats_are_brought_to_one_scale(folder):
     light = observe(imported.capture).white.grey
     expected = np.stack([ball(direction) for direction in DIRECTIONS]).astype(float)
     factor = light.max() / expected.max()
-    np.testing.assert_allclose(light, expected * factor, atol=2e-5)
+    assert_allclose(light, expected * factor, atol=2e-5)
 
 
 def test_an_assumed_tone_curve_gets_a_note(folder):

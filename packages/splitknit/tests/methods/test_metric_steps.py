@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from dome_photographs import dome, stored_as, with_nir
 from refusals import bad_input
@@ -171,8 +172,8 @@ class TestFilms:
         first = skin_surface()
         rest = measured.height - first.shape_mm
         slow = images.grid.smooth(rest, images.grid.mask, KNIT_MM)
-        np.testing.assert_allclose(surface.shape_mm, first.shape_mm + slow, atol=1e-6)
-        np.testing.assert_allclose(surface.relief_mm, rest - slow, atol=1e-6)
+        assert_allclose(surface.shape_mm, first.shape_mm + slow, atol=1e-6)
+        assert_allclose(surface.relief_mm, rest - slow, atol=1e-6)
         assert surface.deviation_mm is measured.error
         assert surface.facts == {"relief_by": "polarised", "specular": measured.fit}
 
@@ -182,7 +183,7 @@ class TestFilms:
         assert measured.skins[1][0] is images.bands
         assert measured.skins[1][1:] == (images.grid, "skin", METRIC.metric, "networks")
         assert surface.facts == {"relief_by": "network", "specular": measured.fit}
-        np.testing.assert_array_equal(surface.albedo, field(2))
+        assert_array_equal(surface.albedo, field(2))
         measured.fit["specular_over_noise"] = FAINT
         assert self.polarised()[1].facts["relief_by"] == "polarised"
 
@@ -196,8 +197,8 @@ class TestFilms:
         rest = measured.height - first.shape_mm
         rest = rest - grid.smooth(rest, grid.mask, SHAPE_MM)
         slow = grid.smooth(rest, grid.mask, KNIT_MM)
-        np.testing.assert_allclose(surface.relief_mm, rest - slow, atol=1e-5)
-        np.testing.assert_allclose(surface.shape_mm, first.shape_mm + slow, atol=1e-5)
+        assert_allclose(surface.relief_mm, rest - slow, atol=1e-5)
+        assert_allclose(surface.shape_mm, first.shape_mm + slow, atol=1e-5)
         assert surface.facts == {"relief_by": "side", "specular": measured.fit}
         assert measured.films is False
         assert measured.skins[0][0] is images.bands
@@ -209,7 +210,7 @@ class TestFilms:
         part = RED_PART * blue / red
         for band, matt in zip((white, images.side[0]), measured.matt, strict=True):
             expected = band.stack - (band.stack[2] - part * band.stack[0]) / 2
-            np.testing.assert_allclose(matt.stack, expected, atol=1e-5)
+            assert_allclose(matt.stack, expected, atol=1e-5)
 
     @pytest.mark.parametrize(
         ("name", "value"),
@@ -224,7 +225,7 @@ class TestFilms:
         measured.fit[name] = value
         _, surface = self.from_the_side()
         assert surface.facts == {"relief_by": "network", "specular": measured.fit}
-        np.testing.assert_array_equal(surface.relief_mm, skin_surface().relief_mm)
+        assert_array_equal(surface.relief_mm, skin_surface().relief_mm)
 
     def test_white_light_at_its_limits_is_used(self, measured):
         measured.fit["specular_over_noise"] = FAINT
@@ -325,13 +326,13 @@ class TestOnPixels:
         fields = first.relief_mm, first.deviation_mm, first.shape_mm
         stated = metric.stated_deviation(*fields, images.grid, 0.5)
         expected = 1000 * np.hypot(stated, 0.3 * first.relief_mm)
-        np.testing.assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
+        assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
 
     def test_what_jpeg_took_is_part_of_the_uncertainty(self, chosen):
         first = skin_surface()
         surface = metric._on_pixels(skin_images(), METRIC, 0.3)
         expected = 1000 * np.hypot(first.deviation_mm, 0.3 * first.relief_mm)
-        np.testing.assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
+        assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
 
     def test_each_run_of_the_relief_network_is_reported(self, monkeypatch):
         reported = []

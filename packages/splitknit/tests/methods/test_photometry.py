@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from dome_photographs import COLOUR, PX_PER_MM, dome, from_40_mm, stored_as, under
 from refusals import bad_input
@@ -62,9 +63,9 @@ class TestByRows:
     def test_all_rows_are_the_linear_images_of_the_window(self, white):
         seen, normals, albedo = images_seen(white)
         images = white.light.grey
-        np.testing.assert_array_equal(seen, images)
-        np.testing.assert_allclose(normals, np.broadcast_to((0.0, 0.6, 0.8), normals.shape))
-        np.testing.assert_array_equal(albedo, images.mean(axis=0))
+        assert_array_equal(seen, images)
+        assert_allclose(normals, np.broadcast_to((0.0, 0.6, 0.8), normals.shape))
+        assert_array_equal(albedo, images.mean(axis=0))
         assert normals.dtype == albedo.dtype == np.float32
 
     @pytest.mark.parametrize("rows_each", [1, 7])
@@ -75,13 +76,13 @@ class TestByRows:
 
         def look(images, rows):
             strips.append(images.shape[1])
-            np.testing.assert_array_equal(images, seen[:, rows])
+            assert_array_equal(images, seen[:, rows])
             return np.broadcast_to((0.0, 0.6, 0.8), (*images.shape[1:], 3)), images.mean(axis=0)
 
         again = photometry.by_rows(white, look)
         assert max(strips) == rows_each
         for strip_by_strip, at_once in zip(again, (normals, albedo), strict=True):
-            np.testing.assert_array_equal(strip_by_strip[white.inside], at_once[white.inside])
+            assert_array_equal(strip_by_strip[white.inside], at_once[white.inside])
 
     def test_strips_without_the_object_are_left_empty(self, white, monkeypatch):
         inside = white.finger.wider.copy()
@@ -128,18 +129,16 @@ class TestColourAlbedo:
         albedo = np.linspace(0.2, 1.0, colours.inside.size, dtype=np.float32)
         albedo = albedo.reshape(colours.inside.shape)
         colour = photometry.colour_albedo(colours, albedo)
-        np.testing.assert_allclose(
-            (colour @ GREY_WEIGHTS)[colours.inside], albedo[colours.inside], rtol=1e-4
-        )
+        assert_allclose((colour @ GREY_WEIGHTS)[colours.inside], albedo[colours.inside], rtol=1e-4)
         ratio = colour[colours.inside] / COLOUR
-        np.testing.assert_allclose(ratio / ratio[:, :1], 1.0, atol=0.02)
+        assert_allclose(ratio / ratio[:, :1], 1.0, atol=0.02)
 
     def test_strips_give_the_same(self, colours, monkeypatch):
         albedo = np.full(colours.inside.shape, 0.5, dtype=np.float32)
         whole = photometry.colour_albedo(colours, albedo)
         assert (whole[0].sum(axis=-1) > 0).any()
         monkeypatch.setattr(photometry, "LIGHT_BYTES", 1)
-        np.testing.assert_array_equal(photometry.colour_albedo(colours, albedo), whole)
+        assert_array_equal(photometry.colour_albedo(colours, albedo), whole)
 
     def test_a_white_highlight_in_one_photograph_leaves_the_colour(self, colours):
         pixels = colours.light.stored.pixels.copy()
@@ -148,7 +147,7 @@ class TestColourAlbedo:
         shiny = stored_as(colours, pixels=pixels)
         colour = photometry.colour_albedo(shiny, np.ones(colours.inside.shape, np.float32))
         ratio = colour[20, 20] / COLOUR
-        np.testing.assert_allclose(ratio / ratio[0], 1.0, atol=0.05)
+        assert_allclose(ratio / ratio[0], 1.0, atol=0.05)
 
     def test_an_unknown_grey_albedo_is_black(self, colours):
         albedo = np.full(colours.inside.shape, np.nan, dtype=np.float32)
@@ -168,21 +167,21 @@ def test_the_settings_choose_the_normals_of_distant_lights(white, method, solve)
     expected = solve(images, lights, inside)
     actual = photometry.distant_normals(images, lights, inside, NormalsSettings(method=method))
     for ours, theirs in zip(actual, expected, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+        assert_array_equal(ours, theirs)
 
 
 class TestSlopes:
     def test_they_are_those_of_the_normals_under_a_straight_camera(self, white):
         normals = np.broadcast_to(np.float32((0.36, -0.48, 0.8)), (*white.inside.shape, 3))
         x, y = photometry.slopes_of(normals, white)
-        np.testing.assert_allclose(x[white.inside], -0.45, rtol=1e-5)
-        np.testing.assert_allclose(y[white.inside], 0.6, rtol=1e-5)
+        assert_allclose(x[white.inside], -0.45, rtol=1e-5)
+        assert_allclose(y[white.inside], 0.6, rtol=1e-5)
         assert (x[~white.inside] == 0).all()
 
     def test_they_are_cut_at_the_steepest(self, white):
         normals = np.broadcast_to(np.float32((1.0, 0.0, 1e-3)), (*white.inside.shape, 3))
         x, _ = photometry.slopes_of(normals, white)
-        np.testing.assert_allclose(x[white.inside], -MAX_SLOPE, rtol=1e-5)
+        assert_allclose(x[white.inside], -MAX_SLOPE, rtol=1e-5)
 
     def test_a_pixels_own_ray_is_upright(self, white):
         """Under a perspective camera a normal along the ray has no slope."""
@@ -226,7 +225,7 @@ class TestIntegrated:
             photometry.integrated((flat, flat), white, HeightSettings(method="poisson"))
         monkeypatch.setattr(photometry, "poisson", lambda *_: span)
         height = photometry.integrated((flat, flat), white, HeightSettings(method="poisson"))
-        np.testing.assert_allclose(height, span / PX_PER_MM)
+        assert_allclose(height, span / PX_PER_MM)
 
 
 class TestRelief:

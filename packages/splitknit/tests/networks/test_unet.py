@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from refusals import bad_input
 from splitknit.networks.unet import (
@@ -143,7 +144,7 @@ def test_the_output_in_tiles_equals_that_in_one_piece(network, images, tile):
     whole = run_network(network, images, tile=4096)
     assert whole.shape == images.shape
     assert np.ptp(whole) > 0.05
-    np.testing.assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
+    assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
 
 
 def test_onnxruntime_keeps_no_memory_pattern_of_each_shape(network):
@@ -180,20 +181,18 @@ def test_outputs_have_the_same_bytes_on_one_two_and_four_threads(name):
 def test_sides_that_are_no_multiple_of_the_stride_are_reflected(network, images):
     padded = np.pad(images, ((0, 0), (0, 0), (0, 5), (0, 2)), mode="reflect")
     expected = run_network(network, padded)[:, :, :203, :150]
-    np.testing.assert_array_equal(run_network(network, images), expected)
+    assert_array_equal(run_network(network, images), expected)
 
 
 def test_a_grey_image_fills_every_input_channel(network, images):
     grey = images[:, 0]
     expected = run_network(network, np.repeat(grey[:, None], 3, axis=1))
-    np.testing.assert_array_equal(run_network(network, grey), expected)
-    np.testing.assert_array_equal(run_network(network, grey[:, None]), expected)
+    assert_array_equal(run_network(network, grey), expected)
+    assert_array_equal(run_network(network, grey[:, None]), expected)
 
 
 def test_each_image_is_processed_independently(network, images):
-    np.testing.assert_array_equal(
-        run_network(network, images[1:]), run_network(network, images)[1:]
-    )
+    assert_array_equal(run_network(network, images[1:]), run_network(network, images)[1:])
 
 
 @pytest.mark.parametrize(
@@ -219,7 +218,7 @@ def test_an_image_with_nan_is_refused(network):
 
 def test_direct_light_does_not_depend_on_the_exposure(network, images):
     once = direct_light(images, network)
-    np.testing.assert_allclose(
+    assert_allclose(
         direct_light(images * np.float32(0.125), network), 0.125 * once, rtol=1e-4, atol=1e-6
     )
     assert once.shape == images.shape and (once >= 0).all() and (once <= images).all()
@@ -231,7 +230,7 @@ def test_direct_light_of_grey_images_is_grey(network, images):
     assert direct.shape == grey.shape
     level = local_level(grey[0])
     raw = run_network(network, grey[:1] / level).mean(axis=1)[0] * level
-    np.testing.assert_allclose(direct[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
+    assert_allclose(direct[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
 
 
 def test_the_exposure_level_is_that_of_the_skin():
@@ -244,10 +243,10 @@ def test_the_exposure_level_is_that_of_the_skin():
 def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline():
     image = np.zeros((3, 120, 163), dtype=np.float32)
     image[0, :, 60:], image[1, :, 60:], image[2, :, 60:] = 0.6, 0.3, 0.3
-    np.testing.assert_allclose(local_level(image)[:, 60:], 0.4, rtol=0.02)
+    assert_allclose(local_level(image)[:, 60:], 0.4, rtol=0.02)
     image[:, :, 60:] *= np.linspace(0.5, 1.5, 103, dtype=np.float32)
     expected = 0.4 * np.linspace(0.5, 1.5, 103)[20:-20]
-    np.testing.assert_allclose(local_level(image)[60, 80:-20], expected, rtol=0.05)
+    assert_allclose(local_level(image)[60, 80:-20], expected, rtol=0.05)
     dark = np.full((64, 64), 1e-4, dtype=np.float32)
     dark[:, 40:] = 1.0
     assert local_level(dark)[:, 0].max() == pytest.approx(0.05)  # not the noise's own level

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from refusals import bad_input
 from splitknit.observation.films import (
@@ -34,8 +35,8 @@ def test_light_along_the_film_passes_the_parallel_analyser_alone(film):
     assert parallel.shape == crossed.shape == (32, 40, 1)
     middle = total.reshape(32, 2, 40, 2).mean(axis=(1, 3))
     inner = np.s_[1:-1, 1:-1]
-    np.testing.assert_allclose(parallel[..., 0][inner], 0.7 * middle[inner], atol=2)
-    np.testing.assert_allclose(crossed[..., 0][inner], 0.3 * middle[inner], atol=2)
+    assert_allclose(parallel[..., 0][inner], 0.7 * middle[inner], atol=2)
+    assert_allclose(crossed[..., 0][inner], 0.3 * middle[inner], atol=2)
 
 
 def test_unpolarised_ridges_hardly_appear_polarised():
@@ -66,7 +67,7 @@ def test_a_quad_bayer_mosaic_gives_the_colours_of_its_blocks():
     assert parallel.shape == (16, 16, 3)
     # of unpolarised light each analyser passes what its pixels saw
     for image in (parallel, crossed):
-        np.testing.assert_allclose(
+        assert_allclose(
             image[4:-4, 4:-4], np.broadcast_to([30000, 20000, 10000], (8, 8, 3)), atol=1
         )
 
@@ -98,8 +99,8 @@ def test_specular_light_is_parallel_less_crossed():
     rng = np.random.default_rng(0)
     diffuse, mirrored = rng.random((3, 5, 6)), rng.random((3, 5, 6))
     specular, crossed = separate_polarised(diffuse + mirrored, diffuse)
-    np.testing.assert_allclose(specular, mirrored)
-    np.testing.assert_array_equal(crossed, diffuse)
+    assert_allclose(specular, mirrored)
+    assert_array_equal(crossed, diffuse)
 
 
 def test_the_specular_picture_is_even_where_the_light_is_not():

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
@@ -62,7 +63,7 @@ def test_photographs_and_lights_become_a_capture(plain):
         intensities=[1, 2, 3, 4],
         tip_direction_deg=90,
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         [led.direction for led in capture.rig.leds],
         LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True),
     )
@@ -77,13 +78,13 @@ def test_photographs_and_lights_become_a_capture(plain):
     assert capture.mask.sum() == 25
     assert len(capture.hashes) == 6
     band = capture.bands["white"]
-    np.testing.assert_allclose(
+    assert_allclose(
         observe(capture).white.grey, (band.pixels[..., 0].astype(float) - 71) / 255, atol=1e-6
     )
     write_capture(capture, plain / "capture")
     again = read_capture(plain / "capture")
-    np.testing.assert_array_equal(again.bands["white"].pixels, band.pixels)
-    np.testing.assert_allclose(again.rig.light_vectors(), capture.rig.light_vectors(), atol=1e-12)
+    assert_array_equal(again.bands["white"].pixels, band.pixels)
+    assert_allclose(again.rig.light_vectors(), capture.rig.light_vectors(), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -123,9 +124,7 @@ def test_lights_and_options_that_cannot_be_used_are_refused(options, words, plai
 )
 def test_light_lists_of_several_forms_are_read(text, tmp_path):
     (tmp_path / "l.txt").write_bytes(text.encode())
-    np.testing.assert_array_equal(
-        read_light_list(tmp_path / "l.txt").lights, [[1, 0, 1], [0, 1.5, 1]]
-    )
+    assert_array_equal(read_light_list(tmp_path / "l.txt").lights, [[1, 0, 1], [0, 1.5, 1]])
 
 
 @pytest.mark.parametrize(
@@ -163,7 +162,7 @@ def test_lights_by_azimuth_and_elevation_are_read(text, names, bright, tmp_path)
     (tmp_path / "l.txt").write_text(text)
     listed = read_light_list(tmp_path / "l.txt")
     across = np.sqrt(0.75)
-    np.testing.assert_allclose(listed.lights, [[0.5, 0, across], [0, across, 0.5]], atol=1e-12)
+    assert_allclose(listed.lights, [[0.5, 0, across], [0, across, 0.5]], atol=1e-12)
     assert (listed.places, listed.names) == (False, names)
     assert (None if listed.intensities is None else listed.intensities.tolist()) == bright
 
@@ -194,7 +193,7 @@ def test_lp_files_find_photographs_by_their_names_alone(unmasked):
     (unmasked / "coin.lp").write_text("\r\n".join(["4", *rows]))
     table = read_light_list(unmasked / "coin.lp")
     assert table.names == ("3.PNG", "0.png", "1.jpg", "2.png")
-    np.testing.assert_array_equal(table.lights, LIGHTS)
+    assert_array_equal(table.lights, LIGHTS)
     band = import_photographs(unmasked).capture.bands["white"]
     assert [Path(file).name for file in band.files] == ["3.png", "0.png", "1.png", "2.png"]
 
@@ -204,7 +203,7 @@ def test_places_in_mm_are_near_lights(unmasked):
     table = unmasked / "lights.txt"
     np.savetxt(table, places, header="x_mm y_mm z_mm", comments="")
     rig = import_photographs(unmasked, px_per_mm=20.0).capture.rig
-    np.testing.assert_array_equal([led.position_mm for led in rig.leds], places)
+    assert_array_equal([led.position_mm for led in rig.leds], places)
     with bad_input("`px_per_mm`"):
         import_photographs(unmasked)
     leds = (Led("nir", position_mm=(1.0, 2.0, 90.0)), *rig.leds)
@@ -348,7 +347,7 @@ def test_reduced_photographs_are_means_of_linear_light(tmp_path):
     assert small.capture.mask[:30].all() and not small.capture.mask[30:].any()
     stacks = [observe(photographs.capture).white.grey for photographs in (whole, small)]
     means = stacks[0].reshape(len(lights), 60, 2, 60, 2).mean(axis=(2, 4))
-    np.testing.assert_allclose(stacks[1], means, atol=2e-5)
+    assert_allclose(stacks[1], means, atol=2e-5)
 
 
 def test_reduced_photographs_are_divided_by_their_flat_ones(tmp_path):
@@ -368,7 +367,7 @@ def test_reduced_photographs_are_divided_by_their_flat_ones(tmp_path):
         for limit in (None, 120 * 120 / 4e6)
     ]
     means = light[0].reshape(len(lights), 60, 2, 60, 2).mean(axis=(2, 4))
-    np.testing.assert_allclose(light[1], means, rtol=0.03, atol=1e-3)
+    assert_allclose(light[1], means, rtol=0.03, atol=1e-3)
 
 
 @pytest.mark.slow
@@ -388,9 +387,9 @@ def test_large_stacks_are_processed_in_strips_from_disk(tmp_path, monkeypatch):
         assert list((tmp_path / "scratch").iterdir()) == []
         results.append([splitknit.reconstruct(capture, preset) for preset in ("metric", "ea")])
     for whole, strips in zip(*results, strict=True):
-        np.testing.assert_array_equal(whole.mask, strips.mask)
-        np.testing.assert_allclose(whole.normals_measured, strips.normals_measured, atol=1e-5)
-        np.testing.assert_allclose(whole.height_mm, strips.height_mm, atol=1e-4)
+        assert_array_equal(whole.mask, strips.mask)
+        assert_allclose(whole.normals_measured, strips.normals_measured, atol=1e-5)
+        assert_allclose(whole.height_mm, strips.height_mm, atol=1e-4)
 
 
 def test_a_link_to_itself_is_refused(plain):
@@ -420,7 +419,7 @@ def test_a_link_to_itself_is_refused(plain):
 def test_light_lists_may_state_brightness_and_names(text, names, bright, tmp_path):
     (tmp_path / "l.txt").write_text(text)
     table = read_light_list(tmp_path / "l.txt")
-    np.testing.assert_array_equal(table.lights, [[1, 0, 1], [0, 1.5, 1]])
+    assert_array_equal(table.lights, [[1, 0, 1], [0, 1.5, 1]])
     assert table.names == names
     assert (None if table.intensities is None else table.intensities.tolist()) == bright
 
@@ -457,7 +456,7 @@ def test_one_photograph_under_three_coloured_lights_is_three_images(tmp_path):
     write_image(tmp_path / "frame.png", image)
     lights = np.array([[0.5, 0, 1], [-0.3, 0.4, 1], [-0.3, -0.4, 1]])
     capture = import_photographs(tmp_path, lights).capture
-    np.testing.assert_array_equal(capture.bands["white"].pixels[..., 0], np.moveaxis(image, 2, 0))
+    assert_array_equal(capture.bands["white"].pixels[..., 0], np.moveaxis(image, 2, 0))
     write_image(tmp_path / "frame.png", image[..., 0])
     with bad_input(r"frame\.png is grey"):
         import_photographs(tmp_path, lights)
@@ -470,13 +469,13 @@ def test_a_mask_is_read_from_transparency_or_covers_all(tmp_path):
     alpha = np.dstack([picture, 255 * inside.astype(np.uint8)])
     Image.fromarray(alpha).save(tmp_path / "mask.png")
     imported = import_photographs(tmp_path, px_per_mm=5.0)
-    np.testing.assert_array_equal(imported.capture.mask, inside)
+    assert_array_equal(imported.capture.mask, inside)
     assert any("not transparent" in str(note) for note in imported.notes)
     file = tmp_path / "mask.tif"
     Image.fromarray(alpha).save(file)
     known = {"px_per_mm": 5.0, "encoding": "linear"}
     imported = import_photographs(tmp_path, mask=file, **known)
-    np.testing.assert_array_equal(imported.capture.mask, inside)
+    assert_array_equal(imported.capture.mask, inside)
     Image.fromarray(picture).save(tmp_path / "mask.png")
     with bad_input("is a picture and no mask"):
         import_photographs(tmp_path, px_per_mm=5.0)
@@ -490,7 +489,7 @@ def test_the_transparency_of_photographs_is_their_mask(tmp_path):
         image = np.dstack([np.asarray(Image.open(file)), np.where(inside, 255, 0)])
         Image.fromarray(image.astype(np.uint8), "LA").save(file)
     imported = import_photographs(tmp_path, None, 0.002, encoding="linear")
-    np.testing.assert_array_equal(imported.capture.mask, inside)
+    assert_array_equal(imported.capture.mask, inside)
     result = splitknit.reconstruct(imported.capture)
     assert any("longer side of the pictures is 60000 mm" in warning for warning in result.warnings)
 
@@ -501,12 +500,10 @@ def test_a_written_lp_file_names_the_photographs_and_holds_directions_only(tmp_p
     assert (tmp_path / "a.lp").read_text().splitlines()[0] == "2"
     table = read_light_list(tmp_path / "a.lp")
     assert table.names == ("one.jpg", "two.jpg")
-    np.testing.assert_allclose(table.lights, [[1 / 3, 2 / 3, 2 / 3], [0, 0, 1]], atol=1e-6)
+    assert_allclose(table.lights, [[1 / 3, 2 / 3, 2 / 3], [0, 0, 1]], atol=1e-6)
     place = Led("white", position_mm=(10.0, 20.0, 20.0))
     write_light_list([place], tmp_path / "b.lp", ["one.jpg"])
-    np.testing.assert_allclose(
-        read_light_list(tmp_path / "b.lp").lights, [[1 / 3, 2 / 3, 2 / 3]], atol=1e-6
-    )
+    assert_allclose(read_light_list(tmp_path / "b.lp").lights, [[1 / 3, 2 / 3, 2 / 3]], atol=1e-6)
 
 
 @pytest.mark.parametrize("near", [True, False])
@@ -523,7 +520,7 @@ def test_a_dome_file_of_relight_holds_places_or_directions(near, tmp_path):
     table = read_light_list(tmp_path / "a.dome")
     assert table.places == near and table.intensities is None
     shift = [1.5, -0.5, 0.0] if near else [0, 0, 0]  # of the middle against the camera's foot
-    np.testing.assert_allclose(table.lights, lights + shift, atol=1e-6)
+    assert_allclose(table.lights, lights + shift, atol=1e-6)
     assert json.loads((tmp_path / "a.dome").read_text())["imageWidth"] == 32.0
 
 
@@ -562,13 +559,13 @@ def test_a_list_of_places_may_state_the_camera(unmasked):
     rows, columns = rig.camera.image_size
     assert rig.camera.model == "perspective" and rig.camera.height_mm == 80.0
     middle = np.array([[(columns - 1) / 2, (rows - 1) / 2]])
-    np.testing.assert_allclose(plane_points(rig.camera, middle), [[-1.0, 2.0]], atol=1e-9)
-    np.testing.assert_allclose(rig.leds[0].position_mm, 90 * LIGHTS[0] - [1, -2, 0])
+    assert_allclose(plane_points(rig.camera, middle), [[-1.0, 2.0]], atol=1e-9)
+    assert_allclose(rig.leds[0].position_mm, 90 * LIGHTS[0] - [1, -2, 0])
     names = [f"{k}.png" for k in range(len(rig.leds))]
     write_light_list(rig.leds, folder / "again.txt", names, camera=rig.camera)
     again = read_light_list(folder / "again.txt")
     assert again.camera_mm == (1.0, -2.0, 80.0)
-    np.testing.assert_allclose(again.lights, 90 * LIGHTS, atol=1e-5)
+    assert_allclose(again.lights, 90 * LIGHTS, atol=1e-5)
     (folder / "lights.txt").write_text("# camera_mm 1.0 80.0\n# x_mm y_mm z_mm\n" + places)
     with bad_input("camera_mm needs three numbers"):
         read_light_list(folder / "lights.txt")

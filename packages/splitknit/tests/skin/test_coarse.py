@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from skin_scene import ALBEDO, COLOURS, fresnel, make_scene
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
@@ -74,9 +75,7 @@ def test_lights_at_the_surface_are_near_and_enter_by_fresnel(matt):
             towards = np.asarray(led.position_mm) - point
             distance = np.linalg.norm(towards)
             vector = towards / distance * led.intensity / distance**2 / at_origin
-            np.testing.assert_allclose(
-                light.vectors[k, :, row, column], vector, rtol=2e-3, atol=1e-3
-            )
+            assert_allclose(light.vectors[k, :, row, column], vector, rtol=2e-3, atol=1e-3)
             cosine = towards @ normals[row, column] / distance
             enters = (1 - fresnel(cosine)) / (1 - fresnel(np.float64(1.0)))
             assert light.entering[k, row, column] == pytest.approx(enters, abs=2e-3)
@@ -124,9 +123,9 @@ def test_lights_along_rays_are_in_the_frame_of_each_pixel(matt):
         towards = np.asarray(led.position_mm) - point
         expected = led.intensity * 1e4 * towards / np.linalg.norm(towards) ** 3 / scale
         seen = light.vectors[k, :, row, column]
-        np.testing.assert_allclose(np.linalg.norm(seen), np.linalg.norm(expected), rtol=1e-4)
+        assert_allclose(np.linalg.norm(seen), np.linalg.norm(expected), rtol=1e-4)
         # z is towards the camera
-        np.testing.assert_allclose(seen[2], -np.dot(ray, expected), rtol=1e-4)
+        assert_allclose(seen[2], -np.dot(ray, expected), rtol=1e-4)
 
 
 def test_integrated_slopes_give_the_height_with_mean_zero(matt):
@@ -137,7 +136,7 @@ def test_integrated_slopes_give_the_height_with_mean_zero(matt):
     integrated = integrate(
         *(s.astype(np.float32) for s in slopes), grid, np.ones(grid.shape, np.float32)
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         integrated[grid.mask], (height - height[grid.mask].mean())[grid.mask], atol=2e-3
     )
     assert integrated[grid.mask].mean() == pytest.approx(0, abs=1e-4)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from refusals import bad_input
 from splitknit.nominal import default_rig
@@ -39,7 +40,7 @@ def test_a_finger_scene_has_the_light_of_simulate_capture(finger):
             stored = images.pixels[k] / 65535 - images.ambient.pixels / 65535
             light = (finger.light([first + k]) - finger.light([])) * exposure
             fits = (images.pixels[k] < 65000).all(axis=-1)
-            np.testing.assert_allclose(light[fits], stored[fits], atol=1e-3)
+            assert_allclose(light[fits], stored[fits], atol=1e-3)
 
 
 def test_light_of_leds_adds_over_ambient_light(finger):
@@ -47,11 +48,9 @@ def test_light_of_leds_adds_over_ambient_light(finger):
     assert room.min() >= 0
     assert room[finger.surface.mask].mean() > 0
     both = finger.light([2, 9])
-    np.testing.assert_allclose(
-        both - room, finger.light([2]) + finger.light([9]) - 2 * room, atol=1e-5
-    )
+    assert_allclose(both - room, finger.light([2]) + finger.light([9]) - 2 * room, atol=1e-5)
     assert finger.light([2])[finger.surface.mask].mean() > 50 * room[finger.surface.mask].mean()
-    np.testing.assert_array_equal(finger.light([]), room)  # asking changes nothing
+    assert_array_equal(finger.light([]), room)  # asking changes nothing
     with bad_input("no LED 14"):
         finger.light([14])
 
@@ -59,7 +58,7 @@ def test_light_of_leds_adds_over_ambient_light(finger):
 def test_another_impression_changes_the_pose_alone():
     settings = TwinSettings(scale=0.05)
     first, again, second = (FingerScene(5, None, settings, impression=k) for k in (0, 0, 1))
-    np.testing.assert_array_equal(first.light([0]), again.light([0]))
+    assert_array_equal(first.light([0]), again.light([0]))
     assert first.skin == second.skin
     assert not np.array_equal(first.surface.mask, second.surface.mask)
 
@@ -94,7 +93,7 @@ def test_noise_differs_between_frames_and_repeats_between_runs(finger):
     first, second = run(7)
     assert not np.array_equal(first, second)
     for frame, repeated in zip((first, second), run(7), strict=True):
-        np.testing.assert_array_equal(frame, repeated)
+        assert_array_equal(frame, repeated)
     assert not np.array_equal(first, run(8)[0])
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import ndimage
 
 from refusals import bad_input
@@ -56,7 +57,7 @@ def test_the_gradient_of_the_body_agrees_with_differences():
         shifted = [x, y, z]
         shifted[axis] = shifted[axis] + step
         numeric = (body.value_and_gradient(*shifted)[0] - value) / step
-        np.testing.assert_allclose(numeric, gradient[axis], atol=1e-5)
+        assert_allclose(numeric, gradient[axis], atol=1e-5)
 
 
 def test_the_chart_keeps_lengths_to_sixty_degrees():
@@ -94,7 +95,7 @@ def test_the_chart_keeps_lengths_to_sixty_degrees():
         assert -0.035 < (stretch[cap] - 1).min() < (stretch[cap] - 1).max() < 0.16
         assert np.median(np.abs(stretch[cap] - 1)) < 0.03
     middle = np.abs(x) < 0.2
-    np.testing.assert_allclose(chart[middle & (y < 13), 1], y[middle & (y < 13)], atol=0.05)
+    assert_allclose(chart[middle & (y < 13), 1], y[middle & (y < 13)], atol=0.05)
 
 
 def test_every_pixel_lies_on_the_skin(seen, finger):
@@ -105,14 +106,14 @@ def test_every_pixel_lies_on_the_skin(seen, finger):
     assert np.array_equal(np.isfinite(seen.shape_mm), seen.mask)
     facing = seen.mask & (seen.shape_normals[..., 2] > 0.9) & (seen.relief_um > -80)
     drop = 1e3 * (seen.height_mm - seen.shape_mm)[facing] * seen.shape_normals[facing][:, 2]
-    np.testing.assert_allclose(drop, seen.relief_um[facing], atol=1.5)
+    assert_allclose(drop, seen.relief_um[facing], atol=1.5)
     rows, columns = np.nonzero(seen.mask & (seen.normals[..., 2] > 0.25))
     body = FingerBody(finger.shape)
     x, y = (columns - 289.5) / 20.0, (419.5 - rows) / 20.0
     distance, _, _ = body.distance_and_chart(
         *placement_of(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns])
     )
-    np.testing.assert_allclose(1e3 * distance, seen.relief_um[rows, columns], atol=0.02)
+    assert_allclose(1e3 * distance, seen.relief_um[rows, columns], atol=0.02)
     ridges = seen.relief_um[facing]
     assert ridges.max() < 2.0
     assert (

@@ -26,7 +26,6 @@ from splitknit_simulator.population.sessions import (
     PopulationSettings,
     SessionRanges,
     draw_impression,
-    finger_of_today,
     population_capture,
 )
 
@@ -139,18 +138,6 @@ def test_impressions_stay_in_their_ranges(impressions):
     assert insertion[partial].max() <= 22.0
     assert insertion[~partial].min() >= 26.0
     assert 5.5 < drawn("roll_deg").std() < 7.5
-
-
-def test_a_session_changes_width_thickness_and_ridge_depth(people, impressions):
-    own, today = people[0].fingers["right_index"], impressions[0][0]
-    finger = finger_of_today(own.finger, today)
-    assert finger.shape.width_mm == own.finger.shape.width_mm * (
-        1 + today.swelling + today.flattening
-    )
-    assert finger.shape.thickness_mm == own.finger.shape.thickness_mm * (
-        1 + today.swelling - today.flattening
-    )
-    assert finger.skin.ridge_depth_um == own.finger.skin.ridge_depth_um * today.ridge_contrast
 
 
 @pytest.mark.slow
