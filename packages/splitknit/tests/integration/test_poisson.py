@@ -4,9 +4,8 @@ else."""
 import cv2
 import numpy as np
 import pytest
-import scipy.sparse
-import scipy.sparse.linalg
 
+from direct_integration import solved
 from refusals import bad_input
 from splitknit.integration.poisson import poisson
 
@@ -21,30 +20,10 @@ def paraboloid(rows, columns):
 
 
 def reference(slope_x, slope_y, mask, weights=None):
-    """The same least squares by a sparse direct solver in double precision."""
-    own = mask.astype(float) if weights is None else np.where(mask, weights, 0.0)
-    weight_right, weight_down, target_right, target_down = np.zeros((4, *mask.shape))
-    weight_right[:, :-1] = 0.5 * (own[:, 1:] + own[:, :-1]) * (mask[:, 1:] & mask[:, :-1])
-    weight_down[:-1] = 0.5 * (own[1:] + own[:-1]) * (mask[1:] & mask[:-1])
-    target_right[:, :-1] = 0.5 * (slope_x[:, 1:] + slope_x[:, :-1])
-    target_down[:-1] = -0.5 * (slope_y[1:] + slope_y[:-1])
-    index = np.full(mask.shape, -1)
-    index[mask] = np.arange(mask.sum())
-    right, down = weight_right > 0, weight_down > 0
-    first = np.concatenate([index[right], index[down]])
-    second = np.concatenate([index[:, 1:][right[:, :-1]], index[1:][down[:-1]]])
-    weight = np.concatenate([weight_right[right], weight_down[down]]).astype(float)
-    target = np.concatenate([target_right[right], target_down[down]]).astype(float)
-    edge = np.arange(len(first))
-    operator = scipy.sparse.csr_matrix(
-        (np.repeat([-1.0, 1.0], len(first)), (np.tile(edge, 2), np.concatenate([first, second]))),
-        shape=(len(first), int(mask.sum())),
-    )
-    normal = operator.T @ scipy.sparse.diags(weight) @ operator + 1e-10 * scipy.sparse.identity(
-        int(mask.sum())
-    )
+    """The same least squares by a sparse direct solver, the mean of each part zero."""
+    weights = np.ones(mask.shape) if weights is None else weights
     height = np.full(mask.shape, np.nan)
-    height[mask] = scipy.sparse.linalg.spsolve(normal.tocsc(), operator.T @ (weight * target))
+    height[mask] = solved((slope_x, slope_y), weights, mask)[0]
     _, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
     for part in np.unique(parts[mask]):
         height[parts == part] -= height[parts == part].mean()
