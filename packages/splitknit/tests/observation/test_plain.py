@@ -109,22 +109,46 @@ def test_lights_and_options_that_cannot_be_used_are_refused(options, words, plai
         convert(plain, **options)
 
 
+UNITS = np.array([[1, 0, 1], [0, 1.5, 1]])
+ANGLES = np.array([[0.5, 0, np.sqrt(0.75)], [0, np.sqrt(0.75), 0.5]])
+
+
 @pytest.mark.parametrize(
-    "text",
+    ("text", "lights", "names", "bright"),
     [
-        "2\n1 0 1\n0 1.5e0 1\n",
-        "1 0 1\n0 1.5 1",
-        "# x y z\n\n1, 0, 1  # first\r\n0;1.5;1\n",
-        "\ufeff1 0 1\n0 1.5 1\n",
-        "1,0 0,0 1,0\n0,0 1,5 1,0\n",
-        "1,0; 0,0; 1,0\n0,0; 1,5; 1,0\n",
-        "1.0, 0.0, 1.0\n0.0, 1.5, 1.0\n",
-        "x y z\n1,0\t0,0\t1,0\n0,0\t1,5\t1,0\n",
+        ("2\n1 0 1\n0 1.5e0 1\n", UNITS, (), None),
+        ("1 0 1\n0 1.5 1", UNITS, (), None),
+        ("# x y z\n\n1, 0, 1  # first\r\n0;1.5;1\n", UNITS, (), None),
+        ("\ufeff1 0 1\n0 1.5 1\n", UNITS, (), None),
+        ("1,0 0,0 1,0\n0,0 1,5 1,0\n", UNITS, (), None),
+        ("1,0; 0,0; 1,0\n0,0; 1,5; 1,0\n", UNITS, (), None),
+        ("1.0, 0.0, 1.0\n0.0, 1.5, 1.0\n", UNITS, (), None),
+        ("x y z\n1,0\t0,0\t1,0\n0,0\t1,5\t1,0\n", UNITS, (), None),
+        ("1 0 1 2\n0 1.5 1 0.5\n", UNITS, (), [[2], [0.5]]),
+        ("1 0 1 2 3 4\n0 1.5 1 1 1 1\n", UNITS, (), [[2, 3, 4], [1, 1, 1]]),
+        ("a b.png 1 0 1 2\nc.png 0 1.5 1 0.5\n", UNITS, ("a b.png", "c.png"), [[2], [0.5]]),
+        ("1 0 1 2 a.png\n0 1.5 1 0.5 b.png\n", UNITS, ("a.png", "b.png"), [[2], [0.5]]),
+        ("coin 7 1 0 1\ncoin 8 0 1.5 1\n", UNITS, ("coin 7", "coin 8"), None),
+        ("azimuth_deg elevation_deg\n0 60\n90 30\n", ANGLES, (), None),
+        ("# Azimuth_deg;Elevation_deg\n360,0;60,0\n-270,0;30,0\n", ANGLES, (), None),
+        (
+            "file, azimuth_deg, elevation_deg\na 1.png, 0, 60\nb.png, 90, 30",
+            ANGLES,
+            ("a 1.png", "b.png"),
+            None,
+        ),
+        ("azimuth_deg elevation_deg\n0 60 2\n90 30 1\n", ANGLES, (), [[2], [1]]),
     ],
 )
-def test_light_lists_of_several_forms_are_read(text, tmp_path):
+def test_light_lists_of_several_forms_are_read(text, lights, names, bright, tmp_path):
     (tmp_path / "l.txt").write_bytes(text.encode())
-    assert_array_equal(read_light_list(tmp_path / "l.txt").lights, [[1, 0, 1], [0, 1.5, 1]])
+    table = read_light_list(tmp_path / "l.txt")
+    assert_allclose(table.lights, lights, rtol=0, atol=0 if lights is UNITS else 1e-12)
+    assert (table.places, table.names) == (False, names)
+    assert (None if table.intensities is None else table.intensities.tolist()) == bright
+
+
+BAD_BRIGHTNESS = r"brightness|three finite numbers"
 
 
 @pytest.mark.parametrize(
@@ -137,46 +161,18 @@ def test_light_lists_of_several_forms_are_read(text, tmp_path):
         (b"1 0 one\n", "line 1"),
         (b"1 0 1\n7\n", "line 2"),
         (b"\xff\xfe\0", "not a text file"),
+        (b"azimuth_deg elevation_deg\n60 120\n", "azimuth stands first"),
+        (b"azimuth_deg elevation_deg\n9 60\n60\n", "line 3: two finite"),
+        (b"0,5,0,3,0,8\n", "line 1: .*; write decimals with a point, or put spaces"),
+        (b"1 0 1 2\n0 1.5 1\n", BAD_BRIGHTNESS),
+        (b"1 0 1 0\n0 1.5 1 1\n", BAD_BRIGHTNESS),
+        (b"1 0 1 2\n0 1.5 1 1 1 1\n", BAD_BRIGHTNESS),
+        (b"1 0 1 2 3\n", BAD_BRIGHTNESS),
     ],
 )
 def test_wrong_light_lists_are_refused(text, words, tmp_path):
     (tmp_path / "l.txt").write_bytes(text)
     with bad_input(words):
-        read_light_list(tmp_path / "l.txt")
-
-
-@pytest.mark.parametrize(
-    ("text", "names", "bright"),
-    [
-        ("azimuth_deg elevation_deg\n0 60\n90 30\n", (), None),
-        ("# Azimuth_deg;Elevation_deg\n360,0;60,0\n-270,0;30,0\n", (), None),
-        (
-            "file, azimuth_deg, elevation_deg\na 1.png, 0, 60\nb.png, 90, 30",
-            ("a 1.png", "b.png"),
-            None,
-        ),
-        ("azimuth_deg elevation_deg\n0 60 2\n90 30 1\n", (), [[2.0], [1.0]]),
-    ],
-)
-def test_lights_by_azimuth_and_elevation_are_read(text, names, bright, tmp_path):
-    (tmp_path / "l.txt").write_text(text)
-    listed = read_light_list(tmp_path / "l.txt")
-    across = np.sqrt(0.75)
-    assert_allclose(listed.lights, [[0.5, 0, across], [0, across, 0.5]], atol=1e-12)
-    assert (listed.places, listed.names) == (False, names)
-    assert (None if listed.intensities is None else listed.intensities.tolist()) == bright
-
-
-def test_impossible_angles_are_refused(tmp_path):
-    for text, words in (("60 120\n", "azimuth stands first"), ("9 60\n60\n", "line 3: two finite")):
-        (tmp_path / "l.txt").write_text(f"azimuth_deg elevation_deg\n{text}")
-        with bad_input(words):
-            read_light_list(tmp_path / "l.txt")
-
-
-def test_ambiguous_commas_are_refused(tmp_path):
-    (tmp_path / "l.txt").write_text("0,5,0,3,0,8\n")
-    with bad_input(r"line 1: .*; write decimals with a point, or put spaces"):
         read_light_list(tmp_path / "l.txt")
 
 
@@ -257,24 +253,22 @@ def ball_photographs(folder, code, count=8, bright=1.0):
     return lights
 
 
-@pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
-def test_the_encoding_of_8_bit_files_is_judged_by_the_shading(tmp_path, code, encoding):
-    ball_photographs(tmp_path, code)
-    imported = import_photographs(tmp_path)
-    assert imported.capture.encoding == encoding
-    assert imported.notes[0].code == "assumed-encoding" and encoding in str(imported.notes[0])
+UNEQUAL = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
 
 
-@pytest.mark.parametrize("listed", [True, False])
+@pytest.mark.parametrize(("bright", "listed"), [(1.0, False), (UNEQUAL, False), (UNEQUAL, True)])
 @pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
-def test_unequal_lights_do_not_change_the_judged_encoding(tmp_path, code, encoding, *, listed):
+def test_the_encoding_of_8_bit_files_is_judged_by_the_shading(
+    tmp_path, code, encoding, bright, listed
+):
     """Unequal lights looked like a wrong curve: sRGB was taken for linear, and normals came out 16
     deg wrong."""
-    bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
     lights = ball_photographs(tmp_path, code, bright=bright)
     if listed:
         np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright]))
-    assert import_photographs(tmp_path).capture.encoding == encoding
+    imported = import_photographs(tmp_path)
+    assert imported.capture.encoding == encoding
+    assert imported.notes[0].code == "assumed-encoding" and encoding in str(imported.notes[0])
 
 
 @pytest.mark.parametrize(
@@ -307,7 +301,7 @@ def test_lights_that_were_said_to_be_equal_are_doubted_where_they_are_not(tmp_pa
 
 
 def test_brightness_is_estimated_or_equal_as_chosen(tmp_path):
-    bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
+    bright = UNEQUAL
     lights = ball_photographs(tmp_path, np.asarray, bright=bright)
     np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright[::-1]]))  # a wrong list
     for way in ("estimate", "equal"):
@@ -404,34 +398,6 @@ def test_a_link_to_itself_is_refused(plain):
         import_photographs(plain, px_per_mm=12.5)
     with bad_input(r"3\.png"):
         import_photographs(plain, None, 12.5, mask=plain / "3.png")
-
-
-@pytest.mark.parametrize(
-    ("text", "names", "bright"),
-    [
-        ("1 0 1 2\n0 1.5 1 0.5\n", (), [[2], [0.5]]),
-        ("1 0 1 2 3 4\n0 1.5 1 1 1 1\n", (), [[2, 3, 4], [1, 1, 1]]),
-        ("a b.png 1 0 1 2\nc.png 0 1.5 1 0.5\n", ("a b.png", "c.png"), [[2], [0.5]]),
-        ("1 0 1 2 a.png\n0 1.5 1 0.5 b.png\n", ("a.png", "b.png"), [[2], [0.5]]),
-        ("coin 7 1 0 1\ncoin 8 0 1.5 1\n", ("coin 7", "coin 8"), None),
-    ],
-)
-def test_light_lists_may_state_brightness_and_names(text, names, bright, tmp_path):
-    (tmp_path / "l.txt").write_text(text)
-    table = read_light_list(tmp_path / "l.txt")
-    assert_array_equal(table.lights, [[1, 0, 1], [0, 1.5, 1]])
-    assert table.names == names
-    assert (None if table.intensities is None else table.intensities.tolist()) == bright
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["1 0 1 2\n0 1.5 1\n", "1 0 1 0\n0 1.5 1 1\n", "1 0 1 2\n0 1.5 1 1 1 1\n", "1 0 1 2 3\n"],
-)
-def test_an_invalid_brightness_is_refused(text, tmp_path):
-    (tmp_path / "l.txt").write_text(text)
-    with bad_input(r"brightness|three finite numbers"):
-        read_light_list(tmp_path / "l.txt")
 
 
 @pytest.mark.parametrize("columns", [1, 3])
