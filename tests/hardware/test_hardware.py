@@ -17,7 +17,7 @@ from hardware.circuit import BOARD, write_circuit
 from hardware.geometry import dimensions_of, holder_places, mirror_profile
 from hardware.sizes import read_dimensions
 from hardware.stages import GPIO_HIGH_V, GPIO_LIMIT_A, design_stage
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.io.rig import read_rig
 from splitknit.nominal import default_rig
 from splitknit_rig.calibration.phantom import HEIGHTS_UM
@@ -47,9 +47,7 @@ def test_a_file_of_dimensions_changes_what_it_names(tmp_path):
     check_dimensions(dimensions_of(rig, s))
     assert films.rig_of(read_dimensions()).leds == default_rig().leds
     own.write_text("[finger]\nwidth_mm = 3.0\n")
-    with pytest.raises(
-        BadInput, match=r"'finger.width_mm' is not a dimension; known are .*finger.widest_mm"
-    ):
+    with bad_input(r"'finger.width_mm' is not a dimension; known are .*finger.widest_mm"):
         read_dimensions(own)
 
 
@@ -64,7 +62,7 @@ def test_a_file_of_dimensions_changes_what_it_names(tmp_path):
     ],
 )
 def test_rigs_that_cannot_be_built_are_refused(changes, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         s = read_dimensions(changes=changes)
         check_dimensions(dimensions_of(films.rig_of(s), s))
 
@@ -169,7 +167,7 @@ def test_missed_margins_are_named():
         ({"supply_v": 6.0}, "too little"),
         ({"white": {"current_a": 0.3}}, "an LED of 120 mA"),
     ):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             design_stage("white", circuit(**changes))
 
 
@@ -196,7 +194,7 @@ def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind, tmp_path):
     )
     written = read_rig(tmp_path / "rig.json")
     assert rig_films(written).kind == kind
-    with pytest.raises(BadInput, match=f"has films of the kind '{kind}'"):
+    with bad_input(f"has films of the kind '{kind}'"):
         films.with_films(written, "servo" if kind == "hand" else "hand")
     bill = list(csv.reader((tmp_path / "parts.csv").read_text(encoding="utf-8").splitlines()))
     names = [line[1] for line in bill]
@@ -301,7 +299,7 @@ def test_light_above_a_limit_is_refused(tmp_path):
         ({"white": {"intensity_cd": 10_000.0}}, "cd, not mcd"),
         ({"nir": {"intensity_w_sr": 0.0}}, "must be given once"),
     ):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             write_circuit(tmp_path / "board", read_dimensions(changes={"circuit": changes}))
     assert not (tmp_path / "board").exists()
 

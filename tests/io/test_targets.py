@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.targets import check_file, check_target
@@ -46,7 +46,7 @@ def test_the_same_kind_may_be_replaced(tmp_path):
     check_target(tmp_path, "map.npz", "an earlier print")
     (tmp_path / "map.npz").unlink()
     (tmp_path / "other").touch()
-    with pytest.raises(BadInput, match="is not an earlier print; name another folder"):
+    with bad_input("is not an earlier print; name another folder"):
         check_target(tmp_path, "map.npz", "an earlier print")
 
 
@@ -56,7 +56,7 @@ def test_a_report_of_another_kind_is_distinguished(text, tmp_path):
     report.write_text(json.dumps({"format": "ours"}))
     check_target(tmp_path, "report.json", "an earlier one", form="ours")
     report.write_text(text)
-    with pytest.raises(BadInput, match="is not an earlier one"):
+    with bad_input("is not an earlier one"):
         check_target(tmp_path, "report.json", "an earlier one", form="ours")
 
 
@@ -64,7 +64,7 @@ def test_what_is_read_is_kept(tmp_path):
     source = tmp_path / "a" / "b"
     source.mkdir(parents=True)
     for out in (source, source.parent, source / ".." / "b"):
-        with pytest.raises(BadInput, match="holds the input itself"):
+        with bad_input("holds the input itself"):
             check_target(out, "x", "an earlier one", keep=source)
     check_target(source / "out", "x", "an earlier one", keep=source)
 
@@ -121,11 +121,11 @@ def test_an_earlier_file_of_the_same_kind_is_replaced(tmp_path, capsys):
         assert main(["calibrate", "lights", "--geometry", *CAMERA, "--out", str(rig)]) == 0
     check_file(tmp_path / "new", "a template", lambda data: False)
     (tmp_path / "empty").touch()
-    with pytest.raises(BadInput, match="exists and is not a template"):
+    with bad_input("exists and is not a template"):
         check_file(tmp_path / "empty", "a template", lambda data: False)
     (tmp_path / "link").symlink_to("nowhere")
     for path in (tmp_path, tmp_path / "link"):
-        with pytest.raises(BadInput, match=r"is a folder|exists and is not a template"):
+        with bad_input(r"is a folder|exists and is not a template"):
             check_file(path, "a template", lambda data: True)
 
 
@@ -133,5 +133,5 @@ def test_a_picture_is_not_written_over_a_photograph(tmp_path):
     write_image(tmp_path / "white_0.png", np.ones((4, 4), np.uint8))
     check_picture(tmp_path / "white_0.png")
     check_picture(tmp_path / "new.png", tmp_path)
-    with pytest.raises(BadInput, match="is one of the photographs"):
+    with bad_input("is one of the photographs"):
         check_picture(tmp_path / "white_0.png", tmp_path)

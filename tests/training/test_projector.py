@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
 
@@ -55,5 +55,5 @@ def test_twenty_five_shifts_cover_one_period_evenly():
     ],
 )
 def test_impossible_patterns_are_refused(wrong, word):
-    with pytest.raises(BadInput, match=word):
+    with bad_input(word):
         Checkerboard(**wrong)

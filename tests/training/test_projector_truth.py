@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from kernel_of_profile import kernel as kernel_of
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import Camera, Led
 from splitknit.nominal import default_rig
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
@@ -143,9 +143,9 @@ def test_light_outside_the_finger_is_zero():
 
 
 def test_checks_of_a_pixel_are_refused(pad):
-    with pytest.raises(BadInput, match="larger checks"):
+    with bad_input("larger checks"):
         _truth(pad, LED, check_mm=0.08)
-    with pytest.raises(BadInput, match="larger checks"):
+    with bad_input("larger checks"):
         next(checkerboard_images(pad, LED, SKIN, Checkerboard(0.08)))
 
 
