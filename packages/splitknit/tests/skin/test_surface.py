@@ -123,14 +123,6 @@ def test_fewer_bands_are_enough_for_the_relief(scene, bands):
         assert relief_gain(surface.relief_mm, scene.relief_mm, scene.inner)[1] > 0.8
 
 
-@pytest.mark.slow
-def test_the_surface_has_the_same_bytes_every_time(scene, surface):
-    again = surface_of(scene)
-    for name in ("shape_mm", "relief_mm", "deviation_mm", "albedo"):
-        assert getattr(again, name).tobytes() == getattr(surface, name).tobytes()
-    assert again.facts == surface.facts
-
-
 def test_fine_lights_follow_the_surface_of_the_coarse_grid(scene):
     low = coarsen(scene.grid, 3)
     x, y = np.meshgrid(low.x_mm, low.y_mm)

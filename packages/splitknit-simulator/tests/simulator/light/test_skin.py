@@ -26,22 +26,12 @@ REFERENCE = {
     "blue": (5.18, 0.40),
     "nir": (2.16, 0.020),
 }
-RELIEF_GAIN = {"red": 0.043, "green": 0.130, "blue": 0.211, "nir": 0.022}
 
 
 @pytest.fixture(scope="module")
 def maker():
     """Names of the script that makes the table of walks."""
     return runpy.run_path(str(Path(__file__).resolve().parents[5] / "tools" / "make_walk_table.py"))
-
-
-@pytest.mark.parametrize("channel", CHANNELS)
-def test_defaults_give_the_measured_coefficients(channel):
-    optics = SkinOptics().channel(channel)
-    scattering, absorption = REFERENCE[channel]
-    assert optics.scattering_per_mm == pytest.approx(scattering, rel=0.01)
-    assert optics.absorption_per_mm == pytest.approx(absorption, rel=0.1)
-    assert 100 * optics.relief_gain_per_um == pytest.approx(RELIEF_GAIN[channel], rel=0.1)
 
 
 def test_the_brightness_of_heights_follows_the_reference_walks():
