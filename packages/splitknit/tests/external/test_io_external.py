@@ -37,35 +37,6 @@ def test_photographs_of_the_blender_phalange_survive_a_capture_folder(data_dir, 
     assert float(np.median(light[:, again.mask])) > 0.1
 
 
-def test_the_shading_of_the_spheres_agrees_with_their_lights(data_dir, tmp_path):
-    folder = data_dir / "psm_spheres"
-    lights = read_light_list(folder / "lights.txt").lights
-    assert lights.shape == (12, 3)
-    photographs = GivenPhotographs(
-        folder / "gray" / "gray.{light}.png",
-        lights,
-        5.0,
-        mask=folder / "gray" / "gray.mask.png",
-        encoding="linear",
-    )
-    capture = capture_from_photographs(photographs).capture
-    write_capture(capture, tmp_path / "capture")
-    again = read_capture(tmp_path / "capture")
-    assert again.mask is not None
-    rows, columns = np.nonzero(again.mask)
-    radius = (np.ptp(columns) + 1) / 2
-    x = (columns - (columns.min() + columns.max()) / 2) / radius
-    y = ((rows.min() + rows.max()) / 2 - rows) / radius
-    normals = np.stack([x, y, np.sqrt(np.clip(1 - x * x - y * y, 0, 1))], axis=1)
-    for image, light in zip(observe(again).white.grey, lights, strict=True):
-        shade = image[again.mask]
-        lit = shade > 0.25 * shade.max()
-        seen = np.linalg.lstsq(normals[lit], shade[lit], rcond=None)[0]
-        assert seen @ light > np.cos(np.deg2rad(10.0)) * np.linalg.norm(seen) * np.linalg.norm(
-            light
-        )
-
-
 def test_every_independent_image_is_read_or_refused_by_name(data_dir):
     files = [
         file
