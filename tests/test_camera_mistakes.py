@@ -1,11 +1,7 @@
 """A camera that does not answer in proportion to the light is named, on simulated fingers."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,7 +11,6 @@ import splitknit_simulator
 from splitknit.methods.photographs import findings_for, photographs_of
 from splitknit.presets import PRESETS
 
-Light = np.ndarray[Any, np.dtype[np.float32]]
 GAINS = 1 + np.random.default_rng(61).uniform(-0.15, 0.15, (8, 3)).astype(np.float32)
 
 
@@ -51,7 +46,7 @@ def local_contrast(image, _):
     return np.asarray(image * np.sqrt(0.3 / np.maximum(around, 0.05)))
 
 
-MISTAKES: dict[str, tuple[Callable[[Light, int], Light], str]] = {
+MISTAKES = {
     "sound": (lambda x, _: x, ""),
     "BGR": (lambda x, _: x[..., ::-1], "swapped-colours"),
     "white balance": (lambda x, k: x * GAINS[k], "white-balance"),

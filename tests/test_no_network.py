@@ -19,9 +19,6 @@ from splitknit.cli.app import build_app, words_of_verbs
 from splitknit_simulator.population.folder import simulate_population
 from splitknit_simulator.population.sessions import PopulationSettings
 
-Event = tuple[str, str]
-"""``address``, ``lookup`` or ``write``, and of what."""
-
 SYSCALLS = (
     "connect,sendto,sendmsg,sendmmsg,open,openat,openat2,creat,mkdir,mkdirat,mknod,mknodat,"
     "rename,renameat,renameat2,link,linkat,symlink,symlinkat"

@@ -1,11 +1,8 @@
 """The notebooks of the documentation run, and store nothing that was computed; `make docs` puts
 them into the site."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -36,7 +33,7 @@ def test_a_notebook_runs_and_draws(notebook, tmp_path, monkeypatch):
     pyplot = pytest.importorskip("matplotlib.pyplot")
     pyplot.switch_backend("Agg")
     monkeypatch.chdir(tmp_path)
-    variables: dict[str, Any] = {}
+    variables = {}
     for number, cell in enumerate(code_cells_of(notebook)):
         exec(compile("".join(cell["source"]), f"{notebook.stem}, cell {number}", "exec"), variables)
     assert pyplot.get_fignums()

@@ -1,8 +1,6 @@
 """SECURITY.md, sentence by sentence: each claim stands there, and names the tests that try to break
 it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -14,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 CORE, RIG, MATCH = (
     f"packages/{member}/tests" for member in ("splitknit", "splitknit-rig", "splitknit-match")
 )
-CLAIMS: dict[str, tuple[str, ...]] = {
+CLAIMS = {
     "nothing is sent and no name is looked up": ("tests/test_no_network.py",),
     "files are made 0600, folders 0700": (
         f"{CORE}/io/test_io_atomic.py::test_what_is_written_is_private",
@@ -224,7 +222,7 @@ UNTESTED = {
 def clauses():
     """SECURITY.md in pieces: each sentence, and of a row of its table each part of the last
     cell."""
-    pieces: list[str] = []
+    pieces = []
     text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
     for block in re.split(r"\n\s*\n|\n(?=- |\|)", text):
         words = " ".join(block.split()).lstrip("- ")

@@ -1,10 +1,6 @@
 """Tables of a store: damage is reported in a sentence, and sizes are checked before they are
 read."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -17,7 +13,7 @@ from splitknit_match.batch.tables import read_origin, read_table, write_table
 
 NAMES = ("S01/session_1/right_index", "S01/session_2/right_index", "S02/session_1/right_index")
 COLUMNS = ("a", "b", "genuine", "similarity", "compared", "shift_mm")
-ROWS: list[dict[str, Any]] = [
+ROWS = [
     dict(zip(COLUMNS, row, strict=True))
     for row in (
         (NAMES[0], NAMES[1], True, 0.9, True, 0.5),

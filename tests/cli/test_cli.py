@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import ast
 import json
 import os
@@ -8,7 +6,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -21,8 +18,6 @@ from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.report.result import FILES
 
-Captured = pytest.CaptureFixture[str]
-
 
 @pytest.fixture
 def capture_folder(tmp_path):
@@ -34,7 +29,7 @@ def capture_folder(tmp_path):
 @pytest.fixture
 def seen(monkeypatch):
     """Put a stage of our own in the pipeline's place; return what it was called with."""
-    calls: dict[str, Any] = {}
+    calls = {}
 
     def stand_in(
         capture,

@@ -1,12 +1,9 @@
 """Two measurements of one surface: a ridged cylinder in closed form, laid down in two poses."""
 
-from __future__ import annotations
-
 import json
 import stat
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -77,7 +74,7 @@ def laid_down(
     )
 
 
-POSE: dict[str, Any] = {"roll": 0.12, "yaw": 0.08, "moved": (0.6, -0.4)}
+POSE = {"roll": 0.12, "yaw": 0.08, "moved": (0.6, -0.4)}
 
 
 @pytest.mark.slow

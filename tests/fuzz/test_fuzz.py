@@ -1,11 +1,8 @@
 """A few changed inputs of every reader; `python -m tests.fuzz.run` goes on as long as one likes."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,7 +11,7 @@ from tests.fuzz.kills import NOT_STOPPED, VERBS
 from splitknit.registry import GROUP, registered
 
 ROOT = Path(__file__).resolve().parents[2]
-PLANTED: dict[str, Callable[[Path, bytes], object]] = {
+PLANTED = {
     "IndexError": lambda folder, data: data[3],
     "stdout or stderr": lambda folder, data: print(data[:1]) if len(data) < 4 else None,
     "left behind": lambda folder, data: (folder / "y").touch() if len(data) < 4 else None,

@@ -1,7 +1,5 @@
 """The whole pipeline on a small simulated finger: fields, frames, meshes, facts and settings."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -29,7 +27,6 @@ from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 from written_files import read_ply
 
-Truth = dict[str, np.ndarray]
 _POSE = FingerPose(insertion_mm=28.0, yaw_rad=0.1)
 
 
@@ -122,7 +119,7 @@ def test_a_result_states_its_inputs_times_and_light(results, capture, preset):
 
 @pytest.mark.slow
 def test_progress_never_falls(capture):
-    fractions: list[float] = []
+    fractions = []
     reconstruct(capture, "snk", progress=lambda _, fraction: fractions.append(fraction))
     assert fractions == sorted(fractions)
     assert 0 <= fractions[0] < fractions[-1] <= 1

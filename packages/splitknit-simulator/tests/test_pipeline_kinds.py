@@ -1,10 +1,7 @@
 """Captures of other kinds than the rig's: each gives a plausible surface with every preset that it
 concerns."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -15,7 +12,6 @@ import kinds
 from refusals import bad_input
 from small_capture import copy_of
 from splitknit.accuracy import compare
-from splitknit.capture import Capture
 from splitknit.io.capture import read_capture
 from splitknit.io.images import read_image
 from splitknit.io.npz import read_npz
@@ -56,7 +52,7 @@ def plausible(result, truth, rms_mm=1.3, correlation=0.1):
     assert figures["ridge_correlation"] > correlation
 
 
-KINDS: dict[str, tuple[Callable[[Capture], Capture], float, tuple[str, str]]] = {
+KINDS = {
     "grey skin": (lambda capture: kinds.grey(capture, "skin"), 1.3, ("pr", "kumar")),
     "grey opaque": (lambda capture: kinds.grey(capture, "opaque"), 1.55, ("ea", "zheng")),
     "three lights": (
@@ -122,7 +118,7 @@ def test_a_finger_cut_by_one_side_gives_a_plausible_surface(preset, capture, tru
     plausible(quick(kinds.cropped(capture, slice(None), kept), preset), part, 1.8)
 
 
-TWINS: dict[str, TwinSettings] = {
+TWINS = {
     "tiny": TwinSettings(scale=0.1),
     "smallest": TwinSettings(scale=0.05),
     "srgb": TwinSettings(sensor=SensorSettings(encoding="srgb")),

@@ -2,7 +2,6 @@
 alone."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,15 +9,12 @@ import pytest
 from enrolled import facts_of, refusal_of
 from refusals import bad_input
 from splitknit.accuracy import compare
-from splitknit.capture import Capture
 from splitknit.io.capture import write_capture
 from splitknit.pipeline import reconstruct
 from splitknit_simulator.finger.finger import FingerPose
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
-
-Photographed = tuple[Capture, dict[str, Any]]
 
 
 @pytest.fixture(scope="module")

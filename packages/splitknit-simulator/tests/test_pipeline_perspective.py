@@ -2,7 +2,6 @@
 and darkens."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
 SCALE = 0.12
-Truth = dict[str, Any]
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,6 @@
 """What a reconstruction by `metric` computes, loads and keeps: counted, for seconds depend on the
 machine."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections import Counter
@@ -28,7 +26,7 @@ def capture():
 @pytest.fixture
 def counts(monkeypatch):
     """Calls, pixels and transforms of what is run while the test lasts."""
-    counter: Counter[str] = Counter()
+    counter = Counter()
     infer, compare, features = unet._infer, shape.residual_of, learned.features
     forward, inverse = Grid.forward, Grid.inverse
 

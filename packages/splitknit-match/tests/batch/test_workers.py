@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -48,7 +46,7 @@ def test_ctrl_c_ends_the_run_and_the_jobs_of_its_workers(tmp_path):
 
 
 def test_threads_of_a_worker_share_one_heap(monkeypatch):
-    calls: list[tuple[int, int]] = []
+    calls = []
 
     class Glibc:
         def __init__(self, name):

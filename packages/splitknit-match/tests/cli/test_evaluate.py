@@ -1,12 +1,9 @@
 """``splitknit evaluate``: from score files to the report, and from bad ones to one sentence."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
@@ -64,8 +61,7 @@ def folder(tmp_path_factory):
 
 
 def report(out):
-    document: dict[str, Any] = json.loads((out / "report.json").read_text())
-    return document
+    return json.loads((out / "report.json").read_text())
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """The thesis's protocol, pairing of systems, checks of a set of scores."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -63,7 +61,7 @@ def test_one_capture_a_finger_and_session_and_two_sessions_are_needed():
 
 
 def test_two_fingers_are_drawn_once_for_all_sessions():
-    asked: list[set[str]] = []
+    asked = []
 
     def drawn(finger_a, finger_b):
         asked.append({finger_a, finger_b})

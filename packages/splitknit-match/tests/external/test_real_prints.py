@@ -1,7 +1,5 @@
 """Prints of real fingers: minutiae joined with ridges, against nbis-py as it comes."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -42,7 +40,7 @@ def files(data_dir):
 
 
 def gar_at_far_0(files, similarity):
-    scores: dict[bool, list[float]] = {True: [], False: []}
+    scores = {True: [], False: []}
     for i, j in itertools.combinations(range(len(files)), 2):
         scores[files[i].stem[:3] == files[j].stem[:3]].append(similarity(i, j))
     return float(np.mean(np.array(scores[True]) > max(scores[False])))

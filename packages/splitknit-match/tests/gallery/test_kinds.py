@@ -1,13 +1,10 @@
 """One pair of fingers, whatever they were made of, has one answer: files, templates, bytes, a
 gallery, candidates and the service agree."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -42,7 +39,7 @@ KINDS = ("print", "photo", "scaled photo", "surface", "contactless")
 def sources(tmp_path_factory):
     """Of each kind two impressions; of all but photographs of one finger."""
     folder = tmp_path_factory.mktemp("kinds")
-    files: dict[tuple[str, int], Path] = {}
+    files = {}
     camera = default_rig(0.2).camera
     finger = draw_finger(732, "right_loop")
     image = ink_print(finger.master())

@@ -19,8 +19,6 @@ from splitknit_simulator.twin import twin_settings
 
 from test_open_gallery import press  # isort: skip
 
-Grid = np.ndarray
-
 
 def picture(wave, seed=0):
     """A wave of -1 to 1 on 400 x 400 pixels, with noise."""

@@ -1,8 +1,6 @@
 """Python without files: arrays, templates as bytes, a gallery that stays open, one finger under two
 names."""
 
-from __future__ import annotations
-
 import os
 import threading
 
@@ -191,7 +189,7 @@ def test_one_finger_under_two_names_at_once(prints, tmp_path, duplicates):
     """Whoever comes first: of several who look at the same time one is enrolled, and the others
     hear of it."""
     template = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI).payload
-    told: list[object] = []
+    told = []
 
     def enrol(gallery, name):
         start.wait()
@@ -257,7 +255,7 @@ def test_threads_and_forks_share_it(prints, tmp_path):
             (candidate.person, candidate.similarity)
             for candidate in gallery.identify(probe).candidates
         ]
-        answers: list[object] = []
+        answers = []
 
         def ask():
             answers.append(

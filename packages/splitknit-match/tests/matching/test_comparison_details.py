@@ -1,12 +1,9 @@
 """Comparisons of two sides: what each method is handed, which rates hold, and what is reported."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -52,7 +49,7 @@ SURFACE = Surface(*[np.zeros((2, 2))] * 4, 0.1, np.eye(3), (2, 2))  # type: igno
 @pytest.fixture
 def rated(monkeypatch):
     """What rates were asked for; comparisons are replaced by fixed results."""
-    asked: list[tuple[Any, ...]] = []
+    asked = []
 
     def rate(*values):
         asked.append(values)
@@ -294,7 +291,7 @@ def test_a_template_file_is_written_beside_its_inputs(tmp_path):
 @pytest.fixture
 def reads(monkeypatch):
     """What was read: files named ``photo`` are photographs."""
-    asked: list[tuple[Any, ...]] = []
+    asked = []
 
     def read(
         finger,

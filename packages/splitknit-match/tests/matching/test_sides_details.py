@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +56,7 @@ def finder(monkeypatch):
     """Ridges, their weights and minutiae that are found; and what they were sought in."""
     weight = np.zeros((300, 260))
     weight[30:270, 20:240] = 0.5
-    state: dict[str, Any] = {
+    state = {
         "ridges": Ridges(), "weight": weight, "minutiae": some_minutiae(30), "sought": [],
     }  # fmt: skip
 
@@ -145,7 +144,7 @@ def test_ridges_of_a_photograph_stand_for_its_picture(finder):
 @pytest.fixture
 def prints_made(monkeypatch):
     """Pictures that templates were made of."""
-    pictures: list[tuple[np.ndarray, Any]] = []
+    pictures = []
 
     def template(image, *, pressed=None, kind):
         pictures.append((image, pressed))

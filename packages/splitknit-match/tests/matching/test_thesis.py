@@ -15,11 +15,6 @@ from splitknit_match.matching.thesis import (
 NO_GATE = ThesisSettings(gate=0.0)
 
 
-def ellipse(rows, columns):
-    y, x = np.mgrid[0:rows, 0:columns]
-    return ((x - (columns - 1) / 2) / (columns / 2)) ** 2 + ((y - (rows - 1)) / rows) ** 2 < 1
-
-
 @pytest.mark.parametrize("index", [0, 3, 6])
 def test_a_finger_is_most_similar_to_itself_moved(impressions, index):
     """By two pixels: this matcher needs poses that differ little."""

@@ -1,7 +1,5 @@
 """The matcher of the thesis author's program, beside the slowest way to write it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
@@ -27,7 +25,7 @@ def finger(seed, px_per_mm=75.7, columns=100):
 def test_labels_are_those_of_single_pixels(neighbours):
     image = np.random.default_rng(0).standard_normal((9, 11)).astype(np.float32)
     labels = pattern_labels(image, neighbours)
-    label_of: dict[tuple[bool, ...], int] = {}
+    label_of = {}
     for row in range(9):
         for column in range(11):
             angle = 2 * np.pi * np.arange(neighbours) / neighbours

@@ -1,13 +1,10 @@
 """Films before LEDs and camera, from simulated photographs of a card and a black ball, and their
 use on captures."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -175,7 +172,7 @@ def test_photographs_that_do_not_show_the_films_are_refused(bench, spoil, words,
 )
 def test_rig_files_with_wrong_films_are_refused(change, words):
     rig = replace(built_rig(1, scale=0.05), films=Films((0,), (0.01,), ((1.0, 1.0, 1.0),)))
-    document: Any = rig_to_json(rig)
+    document = rig_to_json(rig)
     assert rig_from_json(document).films == rig.films
     document["films"] |= change
     with bad_input(words):

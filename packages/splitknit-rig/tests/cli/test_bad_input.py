@@ -1,13 +1,10 @@
 """Every kind of bad input through the command line: one sentence, code 2, nothing half-written."""
 
-from __future__ import annotations
-
 import codecs
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -18,8 +15,6 @@ from enrolled import facts_of, words_of
 from small_capture import copy_of, edit, repaint
 from splitknit.cli.main import main
 from splitknit.io.images import read_image, write_image
-
-Damage = Callable[[Path], object]
 
 
 def of_capture(change):
@@ -128,7 +123,7 @@ def white(document):
 
 
 # name: (what is done to a good capture, words that the sentence must hold)
-KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
+KINDS = {
     "missing image": (
         lambda folder: (folder / "white_3.png").unlink(),
         ("white_3.png", "does not exist"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -19,7 +18,6 @@ from splitknit.skin.learned import Networks
 from splitknit_simulator.twin import simulate_capture
 
 SETTINGS = preset_settings("metric")
-Place = Callable[[float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -8,7 +6,6 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -248,7 +245,7 @@ def test_what_is_written_is_private(tmp_path, monkeypatch, group, for_file, for_
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_while_tidying_waits_until_that_is_done(tmp_path, monkeypatch, number, place):
     fill(tmp_path / "result", first="1")
-    where: Any = Path if place in ("mkdir", "rename") else atomic
+    where = Path if place in ("mkdir", "rename") else atomic
     work, come = getattr(where, place), []
 
     def interrupted(*arguments, **named):

@@ -1,8 +1,6 @@
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -191,9 +189,6 @@ def test_a_dark_mask_or_one_of_another_size_is_refused(mask, words, folder):
     write_image(folder / "m.png", mask)
     with bad_input(words):
         read_capture(folder)
-
-
-Change = Callable[[Any], Any]
 
 
 def document_with(**values):

@@ -1,12 +1,10 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from refusals import bad_input
-from splitknit.capture import Ambient, Band
+from splitknit.capture import Ambient
 from splitknit.io import content
 from splitknit.io.content import check_content
 
@@ -19,7 +17,7 @@ def changed(band, k, pixels, **changes):
 
 @pytest.fixture(params=[(np.uint8, 3), (np.uint8, 1), (np.uint16, 3)])
 def band(request, build_capture):
-    band: Band = build_capture(*request.param, shape=(200, 150)).bands["white"]
+    band = build_capture(*request.param, shape=(200, 150)).bands["white"]
     check_content(band)
     return band
 

@@ -12,9 +12,6 @@ from splitknit_simulator.calibration_set.flat import BoardScene, CardScene
 from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
 from splitknit_simulator.camera.sensor import SensorSettings
 
-PLACES = [(40, 30), (160, 110), (300, 200), (5, 215)]
-"""Columns and rows in a picture of 220 x 320."""
-
 
 def test_a_tilted_card_under_a_built_rig_agrees_with_its_closed_form():
     things = built()

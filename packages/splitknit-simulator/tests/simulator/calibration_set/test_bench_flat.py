@@ -17,19 +17,6 @@ def held(things, seed=3, **changes):
     return BoardScene(**things, **pose, **changes)
 
 
-def reflectance(scene):
-    """What is left of a picture when the light that a card there would receive is taken out."""
-    card = BoardScene(
-        camera=scene.camera,
-        leds=scene.leds,
-        bench=scene.bench,
-        board=PrintedBoard(paper=1.0, ink=1.0, margin_mm=90.0),
-        rotation_vector=scene.rotation_vector,
-        translation_mm=scene.translation_mm,
-    )
-    return grey(scene, [0, 2, 4]) / grey(card, [0, 2, 4])
-
-
 @pytest.mark.parametrize("turn_deg", [0, 8, 30, 45, 90])
 @pytest.mark.parametrize("blur", [0.0, 0.6])
 def test_an_edge_is_averaged_over_the_area_of_its_pixels(turn_deg, blur):
