@@ -134,10 +134,7 @@ CLAIMS = {
     "TLS with certificates on both sides": (
         f"{MATCH}/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
     ),
-    "fuzzers for every reader": (
-        "tests/fuzz/test_fuzz.py",
-        "tests/fuzz/run.py",
-    ),
+    "fuzzers for every reader": ("tests/fuzz/test_fuzz.py", "tests/fuzz/run.py"),
     "photographs that it wrote are replaced with `--overwrite` only": (
         "tests/io/test_targets.py::test_no_verb_replaces_photographs",
     ),

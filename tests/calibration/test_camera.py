@@ -27,10 +27,7 @@ def test_a_long_lens_is_found_and_its_distortion_held():
 
 @pytest.mark.parametrize(
     ("distortion", "fitted"),
-    [
-        ((0.15, 0, 0, 0, 0), ("k1",)),
-        ((-0.3, 0, 0.004, -0.002, 0), ("k1", "p1", "p2")),
-    ],
+    [((0.15, 0, 0, 0, 0), ("k1",)), ((-0.3, 0, 0.004, -0.002, 0), ("k1", "p1", "p2"))],
 )
 def test_terms_that_the_photographs_show_are_fitted(distortion, fitted):
     lens = fit_camera(views(1, 12, distortion=distortion, noise_px=0.01), BOARD, SIZE).lens

@@ -31,13 +31,7 @@ def seen(monkeypatch):
     """Put a stage of our own in the pipeline's place; return what it was called with."""
     calls = {}
 
-    def stand_in(
-        capture,
-        preset="metric",
-        settings=None,
-        progress=None,
-        kept=None,
-    ):
+    def stand_in(capture, preset="metric", settings=None, progress=None, kept=None):
         calls.update(
             preset=preset,
             settings=dict(settings or {}),
@@ -102,12 +96,7 @@ def test_json_is_one_object_and_nothing_else(capture_folder, seen, capsys):
     ],
 )
 def test_failures_have_their_codes(  # noqa: PLR0917
-    capture_folder,
-    seen,
-    capsys,
-    error,
-    code,
-    words,
+    capture_folder, seen, capsys, error, code, words
 ):
     seen["raise"] = error
     out = capture_folder.parent / "deep" / "result"
@@ -216,12 +205,7 @@ sys.exit(main())
 
 
 @pytest.mark.parametrize(
-    ("which", "number"),
-    [
-        (1, signal.SIGTERM),
-        (100, signal.SIGINT),
-        (300, signal.SIGTERM),
-    ],
+    ("which", "number"), [(1, signal.SIGTERM), (100, signal.SIGINT), (300, signal.SIGTERM)]
 )
 def test_an_interrupt_in_an_import_is_one_line(tmp_path, which, number):
     """Of the verb, of numpy, of what the verb loads."""

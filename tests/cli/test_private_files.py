@@ -19,13 +19,7 @@ def _modes(folder):
 @pytest.mark.parametrize(
     ("option", "modes"), [([], (0o600, 0o700)), (["--group-readable"], (0o640, 0o750))]
 )
-def test_verbs_write_private_files(
-    option,
-    modes,
-    twin_folder,
-    tmp_path,
-    capsys,
-):
+def test_verbs_write_private_files(option, modes, twin_folder, tmp_path, capsys):
     out = tmp_path / "out"
     before = os.environ.get(GROUP_READABLE, "")
     umask = os.umask(0)

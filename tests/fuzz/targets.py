@@ -90,11 +90,7 @@ from splitknit_match.prints.from_file import (
     read_print_file,
     read_print_folder,
 )
-from splitknit_match.prints.minutiae_record import (
-    Minutiae,
-    pack_minutiae,
-    unpack_minutiae,
-)
+from splitknit_match.prints.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit_match.prints.sources import read_source
 from splitknit_match.records.finger_image import encode_finger_image
 from splitknit_match.records.iso39794 import encode_finger_image_block
@@ -951,11 +947,7 @@ TARGETS = (
     Target(
         "result", lambda: [{**result, "report.json": _REPORT} for result in _results()], _result
     ),
-    Target(
-        "print_png",
-        _prints,
-        _of_files("print.png", read_print_png, read_one_finger),
-    ),
+    Target("print_png", _prints, _of_files("print.png", read_print_png, read_one_finger)),
     Target("print_file", _print_files, _print_file),
     Target(
         "print_folder",

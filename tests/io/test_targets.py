@@ -95,13 +95,7 @@ FILE_WRITERS = (
 
 @pytest.mark.parametrize("words", FILE_WRITERS, ids=lambda words: " ".join((*words[:2], words[-1])))
 @pytest.mark.parametrize("content", [b"%PDF-1.7 a letter", b"{}", b"\xff\xd8\xff a photograph"])
-def test_no_option_replaces_a_file_of_another_kind(
-    words,
-    content,
-    tmp_path,
-    capsys,
-    monkeypatch,
-):
+def test_no_option_replaces_a_file_of_another_kind(words, content, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     suffix = (
         ".png" if words[-1] in ("--show", "--residuals") else ".pdf" if "target" in words else ""

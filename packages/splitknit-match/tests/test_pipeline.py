@@ -247,11 +247,7 @@ def differing(first, second):
         {"normals.method": "robust"},
     ],
 )
-def test_one_setting_changes_one_thing(
-    capture,
-    results,
-    change,
-):
+def test_one_setting_changes_one_thing(capture, results, change):
     base = results["snk"]
     result = reconstruct(capture, "snk", change)
     before, after = flatten(base.settings), flatten(result.settings)

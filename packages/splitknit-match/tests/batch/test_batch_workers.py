@@ -187,10 +187,7 @@ def test_code_goes_to_other_computers_only_encrypted():
         "[::]",
         "[2001:db8::1]",
     ):
-        with (
-            bad_input("can send code that its workers run"),
-            connected(f"tcp://{host}:8786"),
-        ):
+        with bad_input("can send code that its workers run"), connected(f"tcp://{host}:8786"):
             pass
 
 
@@ -205,13 +202,7 @@ def test_a_scheduler_that_is_not_there(host, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_cluster_is_used_by_whom_its_ca_knows(
-    tls,
-    people,
-    tmp_path,
-    capsys,
-    monkeypatch,
-):
+def test_a_cluster_is_used_by_whom_its_ca_knows(tls, people, tmp_path, capsys, monkeypatch):
     address, good, foreign = tls
     monkeypatch.setattr(tasks, "PATIENCE_S", 10.0)
     words = f"batch {people} --cases ea --matchers none".split()
@@ -264,9 +255,7 @@ def test_each_of_several_jobs_runs_networks_on_one_thread():
     assert running() == before
 
 
-def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(
-    tls,
-):
+def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(tls):
     import dask
 
     address, good, foreign = tls
@@ -279,12 +268,7 @@ def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(
         with configured(good), dask.config.set(setting), connected(address) as client:
             assert sizes(double, [4], Workers(1, client)) == [8]
             assert listening() == before
-    with (
-        configured(foreign),
-        dask.config.set(weak),
-        bad_input("verify failed"),
-        connected(address),
-    ):
+    with configured(foreign), dask.config.set(weak), bad_input("verify failed"), connected(address):
         pass
 
 

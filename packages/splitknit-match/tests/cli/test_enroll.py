@@ -84,21 +84,12 @@ def test_several_sources_are_sessions(people_folder, tmp_path, capsys):
     assert "already" in refusal
     assert "--replace" in refusal
     facts_of(
-        capsys,
-        f"enroll {tmp_path}/g.skg {first}/print.png",
-        *finger,
-        "--session",
-        "2",
-        "--replace",
+        capsys, f"enroll {tmp_path}/g.skg {first}/print.png", *finger, "--session", "2", "--replace"
     )
     assert [
         capture["kind"]
         for capture in facts_of(capsys, f"gallery list {tmp_path}/g.skg")["captures"]
-    ] == [
-        "result",
-        "print",
-        "print",
-    ]
+    ] == ["result", "print", "print"]
 
 
 @pytest.mark.parametrize("grey", [0, 255])
@@ -421,35 +412,14 @@ def test_an_export_with_a_link_is_not_imported(whole, tmp_path, capsys, *, name)
         ("enroll NEW --person A --finger right_index", "name a capture"),
         ("enroll NEW SOURCE --person A --finger nose", "is not a finger"),
         ("enroll NEW SOURCE --person '' --finger right_index", "person's name"),
-        (
-            "enroll NEW SOURCE --person A --finger right_index --session 'a b'",
-            "a session",
-        ),
-        (
-            "enroll NEW SOURCE SOURCE --person A --finger right_index --session 1",
-            "one so",
-        ),
+        ("enroll NEW SOURCE --person A --finger right_index --session 'a b'", "a session"),
+        ("enroll NEW SOURCE SOURCE --person A --finger right_index --session 1", "one so"),
         ("enroll NEW NOWHERE --person A --finger right_index", "there is no"),
-        (
-            "enroll NOWHERE/g SOURCE --person A --finger right_index",
-            "there is no folder",
-        ),
-        (
-            "enroll TEXT SOURCE --person A --finger right_index",
-            "is not a gallery",
-        ),
-        (
-            "enroll FOLDER SOURCE --person A --finger right_index",
-            "is not a file",
-        ),
-        (
-            "enroll NEW SOURCE --person A --finger right_index --key-file NOWHERE",
-            "key file",
-        ),
-        (
-            "enroll NEW SOURCE --person A --finger right_index --workers 2",
-            "--population",
-        ),
+        ("enroll NOWHERE/g SOURCE --person A --finger right_index", "there is no folder"),
+        ("enroll TEXT SOURCE --person A --finger right_index", "is not a gallery"),
+        ("enroll FOLDER SOURCE --person A --finger right_index", "is not a file"),
+        ("enroll NEW SOURCE --person A --finger right_index --key-file NOWHERE", "key file"),
+        ("enroll NEW SOURCE --person A --finger right_index --workers 2", "--population"),
         ("enroll NEW --population FOLDER", "holds nothing to enrol"),
         ("enroll NEW --population NOWHERE", "there is no folder"),
         ("enroll NEW --population FOLDER --person A", "does not go with"),

@@ -18,15 +18,7 @@ QUICK = ["--replicates", "50"]
 HAND = "label,score\n1,0.9\n1,0.8\n1,0.7\n1,0.3\n0,0.1\n0,0.2\n0,0.4\n0,0.5\n"
 
 
-def write_population(
-    path,
-    *,
-    power=3.0,
-    fingers=20,
-    sessions=4,
-    ids=True,
-    turn=False,
-):
+def write_population(path, *, power=3.0, fingers=20, sessions=4, ids=True, turn=False):
     """Scores of a protocol, two fingers a subject, every fiftieth missing."""
     generator = np.random.default_rng(0)
     finger, session = np.tile(np.arange(fingers), sessions), np.repeat(np.arange(sessions), fingers)

@@ -62,10 +62,7 @@ def test_all_sessions_with_each_other(gallery, tmp_path, capsys):
         assert row["label"] == str(int(same))
     # anyone can evaluate the table again
     again = facts_of(
-        capsys,
-        f"evaluate --scores {tmp_path}/report/scores.csv --out",
-        tmp_path / "again",
-        *QUICK,
+        capsys, f"evaluate --scores {tmp_path}/report/scores.csv --out", tmp_path / "again", *QUICK
     )
     for name in ("eer", "gar_at_far"):
         assert again[name] == facts[name]

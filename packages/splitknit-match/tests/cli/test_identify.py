@@ -148,10 +148,7 @@ def test_failures_to_acquire_match_nobody(gallery, tmp_path, capsys):
         ("GALLERY NOWHERE", "there is no"),
         ("PROBE GALLERY", "is not a file"),
         ("GALLERY PROBE --person Nobody", "holds nothing of person 'Nobody'"),
-        (
-            "GALLERY PROBE --person Bob --finger left_thumb",
-            "person 'Bob' and finger 'left_thumb'",
-        ),
+        ("GALLERY PROBE --person Bob --finger left_thumb", "person 'Bob' and finger 'left_thumb'"),
         ("GALLERY PROBE --finger nose", "is not a finger"),
         ("GALLERY PROBE --fmr 0", "--fmr must lie"),
         ("GALLERY PROBE --fmr nan", "--fmr must lie"),

@@ -43,9 +43,7 @@ def test_the_thesis_method(results, capsys):
     assert 0.5 < same["overlap"] < 1
     assert set(same["dissimilarity"]) == {"normals", "relief"}
     gated = facts_of(
-        capsys,
-        f"match {results}/a {results}/other --method thesis --set",
-        "thesis.gate=1",
+        capsys, f"match {results}/a {results}/other --method thesis --set", "thesis.gate=1"
     )
     assert not gated["compared"]
 

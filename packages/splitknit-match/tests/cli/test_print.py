@@ -114,9 +114,7 @@ def test_resolution_surface_and_settings(result, tmp_path, capsys):
         coarse["ridge_period_mm"]["median"], rel=0.02
     )
     wide = facts_of(
-        capsys,
-        f"print {result} --method curvature --surface arc --out",
-        tmp_path / "d",
+        capsys, f"print {result} --method curvature --surface arc --out", tmp_path / "d"
     )
     assert wide["size"][1] > coarse["size"][1]
     assert "distortion" in wide

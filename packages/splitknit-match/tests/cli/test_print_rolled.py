@@ -62,9 +62,7 @@ def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(tmp_path, c
     message = refusal_of(capsys, f"print {tmp_path} --method rolled --out {tmp_path}/out")
     assert "not a capture folder" in message
     message = refusal_of(
-        capsys,
-        f"print {tmp_path} --method rolled --surface plane --out",
-        tmp_path / "out",
+        capsys, f"print {tmp_path} --method rolled --surface plane --out", tmp_path / "out"
     )
     assert "cannot be printed on the plane" in message
     assert not (tmp_path / "out").exists()

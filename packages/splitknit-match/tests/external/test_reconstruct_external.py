@@ -157,12 +157,7 @@ def test_measured_normals_are_those_of_photometric_stereo(bear):
         ("pr", {}, 0.105),
     ],
 )
-def test_heights_of_the_ball_are_within_a_few_per_cent_of_its_radius(
-    ball,
-    preset,
-    changes,
-    limit,
-):
+def test_heights_of_the_ball_are_within_a_few_per_cent_of_its_radius(ball, preset, changes, limit):
     """Though the camera's response is unknown and its lens not orthographic."""
     capture, sphere = ball
     result = reconstruct(capture, preset, changes)

@@ -198,10 +198,7 @@ def test_what_one_could_not_erase_the_next_writer_does(tmp_path, monkeypatch, ac
     with contextlib.closing(sqlite3.connect(file)) as reader:
         reader.execute("BEGIN")
         reader.execute("SELECT * FROM about").fetchall()
-        with (
-            GalleryFile(file) as gallery,
-            bad_input("its bytes may still lie in the file"),
-        ):
+        with GalleryFile(file) as gallery, bad_input("its bytes may still lie in the file"):
             gallery.remove("Ann")
         assert people(file, None) == ["Bob, right index, session 1"]
         assert gone in file.read_bytes()
@@ -254,9 +251,7 @@ def test_all_sides_of_a_key(tmp_path):
         assert people(path, own) == ["Ann Example, right index, session 1"]
 
 
-def test_what_an_encrypted_file_reveals_is_no_name_and_any_changed_byte_is_noticed(
-    tmp_path,
-):
+def test_what_an_encrypted_file_reveals_is_no_name_and_any_changed_byte_is_noticed(tmp_path):
     pytest.importorskip("sqlcipher3")
     path = tmp_path / "g.skg"
     with GalleryFile(path, KEY) as gallery:
@@ -419,10 +414,7 @@ def test_one_who_waits_too_long_is_told(file, key, monkeypatch):
 def test_a_file_that_is_replaced_meanwhile_is_left_alone(file, key):
     other_file = file.with_name("other.skg")
     other_file.write_bytes(file.read_bytes())
-    with (
-        GalleryFile(file, key) as gallery,
-        bad_input("was replaced or removed meanwhile"),
-    ):
+    with GalleryFile(file, key) as gallery, bad_input("was replaced or removed meanwhile"):
         gallery.add([new("Dan", 8)], SETTINGS, last=lambda: other_file.replace(file))
     assert len(people(file, key)) == 5
 

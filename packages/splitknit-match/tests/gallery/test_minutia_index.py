@@ -23,12 +23,7 @@ from test_open_gallery import PPI, press  # isort: skip
 CAPTURES = 300
 
 
-def seen(
-    seed,
-    turned=0.0,
-    shift=(0.0, 0.0),
-    again=None,
-):
+def seen(seed, turned=0.0, shift=(0.0, 0.0), again=None):
     """Template of random minutiae; of another press of the same finger, turned and shifted by
     pixels of 500 ppi."""
     rng = np.random.default_rng(seed)

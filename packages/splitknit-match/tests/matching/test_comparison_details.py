@@ -293,15 +293,7 @@ def reads(monkeypatch):
     """What was read: files named ``photo`` are photographs."""
     asked = []
 
-    def read(
-        finger,
-        preset,
-        progress,
-        ppi=None,
-        *,
-        ridges=None,
-        where=None,
-    ):
+    def read(finger, preset, progress, ppi=None, *, ridges=None, where=None):
         asked.append((finger, preset, ppi, where))
         progress("reading", 0.1)
         return side_of("print", str(finger))
@@ -322,13 +314,7 @@ def reads(monkeypatch):
     ],
 )
 def test_the_resolution_and_the_mask_are_of_the_photograph(  # noqa: PLR0917
-    reads,
-    rated,
-    tmp_path,
-    names,
-    resolutions,
-    chosen,
-    kept,
+    reads, rated, tmp_path, names, resolutions, chosen, kept
 ):
     stages = []
     files = [tmp_path / name for name in names]

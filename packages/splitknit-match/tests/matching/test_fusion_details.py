@@ -209,13 +209,7 @@ def pairs():
         ("small", (23.60, 18.02), (0.971, 43.4), (40.0, 1.0, -0.5)),
     ],
 )
-def test_scores_of_drawn_prints_stay(
-    pairs,
-    name,
-    fused,
-    ridges,
-    alignment,
-):
+def test_scores_of_drawn_prints_stay(pairs, name, fused, ridges, alignment):
     """A constant or a step of the matchers that changes moves one of these."""
     match, ridge = fused_match(*pairs[name]), ridge_match(*pairs[name])
     assert (match.similarity, match.minutiae) == pytest.approx(fused, rel=0.02, abs=0.2)

@@ -18,11 +18,7 @@ from splitknit_match.prints.minutiae_record import (
     pack_minutiae,
     unpack_minutiae,
 )
-from splitknit_simulator.finger.master_print import (
-    MasterPrintSettings,
-    ink_print,
-    master_print,
-)
+from splitknit_simulator.finger.master_print import MasterPrintSettings, ink_print, master_print
 
 BORDER = 20
 SMALL = MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=1.0)
@@ -131,9 +127,7 @@ def test_turned_shifted_and_missing_minutiae_are_recognised(seed, angle, shift, 
     assert own > 2 > 1.8 > minutiae_match(fewer, random_minutiae(45, seed + 1))  # noqa: PLR0133
 
 
-def test_two_prints_of_a_finger_score_higher_than_those_of_two_fingers(
-    minutiae,
-):
+def test_two_prints_of_a_finger_score_higher_than_those_of_two_fingers(minutiae):
     impostors = ((0, 1), (0, 2), (1, 2), (1, 3), (2, 3))
     assert minutiae_match(minutiae[0], minutiae[3]) > 3
     assert max(minutiae_match(minutiae[i], minutiae[j]) for i, j in impostors) < 1.8

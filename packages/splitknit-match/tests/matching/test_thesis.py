@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from refusals import bad_input
-from splitknit_match.matching.thesis import (
-    ThesisSettings,
-    finger_images,
-    thesis_match,
-)
+from splitknit_match.matching.thesis import ThesisSettings, finger_images, thesis_match
 
 NO_GATE = ThesisSettings(gate=0.0)
 

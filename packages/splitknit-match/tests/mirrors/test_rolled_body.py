@@ -10,11 +10,7 @@ import rolled_scene as scene
 from refusals import bad_input
 from rolled_scene import body_between_mirrors
 from splitknit.mirrors.views import Views
-from splitknit_match.rolled.finger import (
-    ROLL_OF_SHEAR,
-    _rolled_pad,
-    _shape_of,
-)
+from splitknit_match.rolled.finger import ROLL_OF_SHEAR, _rolled_pad, _shape_of
 
 RIG = scene.rig()
 MIRRORS = {mirror.name: mirror for mirror in RIG.mirrors}

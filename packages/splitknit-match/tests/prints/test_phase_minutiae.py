@@ -5,11 +5,7 @@ import pytest
 
 from splitknit_match.prints.enhance import gabor_enhance
 from splitknit_match.prints.phase_minutiae import by_phase
-from splitknit_simulator.finger.master_print import (
-    MasterPrintSettings,
-    ink_print,
-    master_print,
-)
+from splitknit_simulator.finger.master_print import MasterPrintSettings, ink_print, master_print
 
 PERIOD_PX = 9.0
 STEP_MM = 25.4 / 500

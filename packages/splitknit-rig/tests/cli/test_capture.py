@@ -195,10 +195,7 @@ def test_png_files_hold_the_same_pixels(done, tmp_path):
         ("--out a --session 0", "numbered from 1"),
         ("--out a --subjects 3", "--subjects belongs to --enrolment"),
         ("--enrolment e --next 0", "--next"),
-        (
-            "--enrolment e --fingers right_index,toe",
-            "Expected right_thumb or right_index",
-        ),
+        ("--enrolment e --fingers right_index,toe", "Expected right_thumb or right_index"),
         ("--enrolment e --overwrite", "replaces nothing"),
         ("--out a --set capture.exposure.target=3", "exposure.target"),
         ("--out a --set skin.nonsense=3", "nonsense"),
@@ -293,8 +290,7 @@ class TestPi:
         assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.parametrize(
-        "words",
-        ["--scale 0.5", "--seed 3", "--pattern loop", "--set skin.melanin=0.1"],
+        "words", ["--scale 0.5", "--seed 3", "--pattern loop", "--set skin.melanin=0.1"]
     )
     def test_settings_of_the_twin_are_refused(self, words, tmp_path, capsys):
         assert "twin" in refused(capsys, "--out", tmp_path / "c", *words.split(), device="pi")

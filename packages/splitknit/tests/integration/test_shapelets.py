@@ -65,8 +65,7 @@ def test_response_of_the_thesis_at_the_ridges():
 
 
 @pytest.mark.parametrize(
-    "field",
-    [{"scales": 0}, {"sigma_px": 0}, {"factor": 1.0}, {"sigma_px": np.nan}],
+    "field", [{"scales": 0}, {"sigma_px": 0}, {"factor": 1.0}, {"sigma_px": np.nan}]
 )
 def test_bad_settings_are_refused(field):
     with bad_input("shapelets"):

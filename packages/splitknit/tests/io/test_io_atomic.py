@@ -126,10 +126,7 @@ def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path, kind):
 
 def test_a_file_added_by_others_meanwhile_is_kept(tmp_path):
     fill(tmp_path / "result", first="1")
-    with (
-        bad_input("did not write"),
-        atomic_folder(tmp_path / "result") as folder,
-    ):
+    with bad_input("did not write"), atomic_folder(tmp_path / "result") as folder:
         (folder / "first").write_text("2")
         (tmp_path / "result" / "notes").write_text("mine")
     assert visible(tmp_path / "result") == {"first": "1", "notes": "mine"}
@@ -145,10 +142,7 @@ def test_places_that_cannot_be_written_are_refused(tmp_path):
         fill(tmp_path / ("x" * 300), first="1")
     with bad_input("not a usable path"):
         fill(Path("a\0b"), first="1")
-    with (
-        bad_input("exists and is not empty"),
-        atomic_folder(tmp_path, overwrite=False),
-    ):
+    with bad_input("exists and is not empty"), atomic_folder(tmp_path, overwrite=False):
         pass
     with bad_input("mounted disk"), atomic_folder("/"):
         pass
@@ -208,10 +202,7 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("pipe")
     for name in ("pipe", "link"):
-        with (
-            bad_input("is a device or a pipe"),
-            atomic_file(tmp_path / name) as stream,
-        ):
+        with bad_input("is a device or a pipe"), atomic_file(tmp_path / name) as stream:
             stream.write(b"never")
     assert (tmp_path / "pipe").is_fifo()
     assert {path.name for path in tmp_path.iterdir()} == {"pipe", "link"}
@@ -364,10 +355,7 @@ def test_nothing_is_written_through_a_link_inside_a_given_folder(tmp_path):
         with given_folders([named]):
             for name in ("file", "folder/file", "folder/new/file"):
                 for write in (atomic_file, atomic_folder):
-                    with (
-                        bad_input("is a link inside a folder"),
-                        write(named / name),
-                    ):
+                    with bad_input("is a link inside a folder"), write(named / name):
                         pass
                 with bad_input("is a link inside a folder"):
                     read_bytes(named / name, 100)

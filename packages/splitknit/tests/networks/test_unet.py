@@ -8,18 +8,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from refusals import bad_input
-from splitknit.networks.unet import (
-    NO_TELEMETRY,
-    load_network,
-    run_network,
-    running,
-    use_device,
-)
-from splitknit.separation.direct import (
-    direct_light,
-    exposure_level,
-    local_level,
-)
+from splitknit.networks.unet import NO_TELEMETRY, load_network, run_network, running, use_device
+from splitknit.separation.direct import direct_light, exposure_level, local_level
 
 TINY = Path(__file__).parent / "tiny.onnx"
 """A U-Net of width 2 with random weights; its card tells how it was made."""

@@ -29,12 +29,7 @@ def _direction_deg(image):
     return float(np.rad2deg(gradient) + 90.0) % 180.0
 
 
-def _print(
-    relief,
-    mask=None,
-    input_from_upright=None,
-    **options,
-):
+def _print(relief, mask=None, input_from_upright=None, **options):
     """Print of a relief that lies upright and fills the image unless stated otherwise."""
     mask = np.ones(relief.shape, bool) if mask is None else mask
     upright = np.eye(3) if input_from_upright is None else input_from_upright

@@ -99,9 +99,7 @@ def test_the_front_sees_the_top_and_the_mirror_the_side():
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.15, 0.0, 0.0, 0.0, 0.0)])
-def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(
-    distortion,
-):
+def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(distortion):
     chart, camera = capsule_chart(), near_camera(distortion)
     radius = capsule_radius(chart)
     for sight, columns in (
