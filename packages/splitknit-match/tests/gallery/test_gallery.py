@@ -464,7 +464,7 @@ HOSTILE = {
 MEMORY = """
 import re, sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[1])
+sys.path += sys.argv[1].split(":")
 from test_gallery import KEY, BadInput, GalleryFile
 for path in sys.argv[3:]:
     try:
@@ -495,7 +495,7 @@ def test_a_hostile_schema_is_refused_before_it_is_evaluated(file, key):
             )
     kind = "plain" if key is None else "encrypted"
     process = subprocess.run(
-        [sys.executable, "-c", MEMORY, str(Path(__file__).parent), kind, *files],
+        [sys.executable, "-c", MEMORY, ":".join(sys.path), kind, *files],
         capture_output=True,
         text=True,
         check=True,
@@ -557,7 +557,7 @@ def test_a_change_that_was_made_is_no_failure_on_a_full_disk(tmp_path, key):
 
 KILLED = """
 import os, random, signal, sys, time
-sys.path.insert(0, sys.argv[2])
+sys.path += sys.argv[2].split(":")
 from test_gallery import KEY, SETTINGS, new
 from splitknit_match.gallery.file import GalleryFile
 path, key = sys.argv[1], KEY if sys.argv[3] == "encrypted" else None
@@ -618,7 +618,7 @@ print("sound")
 
 def test_thirty_killed_writers_lose_nothing(file, key):
     """What was told as done is there, of what was under way all or nothing."""
-    arguments = [str(file), str(Path(__file__).parent), "plain" if key is None else "encrypted"]
+    arguments = [str(file), ":".join(sys.path), "plain" if key is None else "encrypted"]
     process = subprocess.run(
         [sys.executable, "-c", KILLED, *arguments], capture_output=True, text=True, check=False
     )
