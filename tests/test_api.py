@@ -1,8 +1,6 @@
 """The public surface: what it holds, that nothing shadows it, and that results go out and come
 back."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -13,27 +11,25 @@ import pytest
 import splitknit
 import splitknit_match
 import splitknit_simulator
-from splitknit.capture import Capture
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.io.provenance import plain_json
-from splitknit.reconstruction import Reconstruction
 from splitknit_simulator.scene import TwinSettings
 
 SRC = Path(splitknit.__file__).parent
 
 
 @pytest.fixture(scope="module")
-def capture() -> Capture:
+def capture():
     return splitknit_simulator.simulate_capture(3, "whorl", TwinSettings(scale=0.12))[0]
 
 
 @pytest.fixture(scope="module")
-def result(capture: Capture) -> Reconstruction:
+def result(capture):
     return splitknit.reconstruct(capture, "ea")
 
 
-def test_dir_is_the_public_surface() -> None:
+def test_dir_is_the_public_surface():
     assert dir(splitknit) == sorted(splitknit.__all__)
     assert 15 <= len(splitknit.__all__) <= 30
     for name in splitknit.__all__:
@@ -42,7 +38,7 @@ def test_dir_is_the_public_surface() -> None:
         assert documented or isinstance(getattr(splitknit, name), type), name
 
 
-def test_no_public_function_has_the_name_of_a_module_beside_it() -> None:
+def test_no_public_function_has_the_name_of_a_module_beside_it():
     for name in splitknit.__all__:
         assert not (SRC / f"{name}.py").exists() and not (SRC / name).exists(), name
     program = (
@@ -54,7 +50,7 @@ def test_no_public_function_has_the_name_of_a_module_beside_it() -> None:
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_reprs_are_short(capture: Capture, result: Reconstruction) -> None:
+def test_reprs_are_short(capture, result):
     for thing in (capture, capture.rig, capture.bands["white"], result):
         assert len(repr(thing)) < 300, repr(thing)
     assert repr(result).startswith("Reconstruction(preset 'ea'")
@@ -62,9 +58,7 @@ def test_reprs_are_short(capture: Capture, result: Reconstruction) -> None:
     assert html.startswith('<img src="data:image/jpeg;base64,') and "<th>preset</th>" in html
 
 
-def test_a_result_is_saved_and_read_again(
-    capture: Capture, result: Reconstruction, tmp_path: Path
-) -> None:
+def test_a_result_is_saved_and_read_again(capture, result, tmp_path):
     result.save(tmp_path / "with", capture)
     result.save(tmp_path / "without")
     for name in ("with", "without"):
@@ -88,7 +82,7 @@ def test_a_result_is_saved_and_read_again(
 
 
 @pytest.mark.parametrize("text", ["[]", "{", '{"facts": 3}', '{"settings": "x"}'])
-def test_a_damaged_report_is_refused(result: Reconstruction, tmp_path: Path, text: str) -> None:
+def test_a_damaged_report_is_refused(result, tmp_path, text):
     result.save(tmp_path / "r")
     (tmp_path / "r" / "report.json").write_text(text)
     with pytest.raises(BadInput, match=r"report\.json.*; correct (it|the file)"):
@@ -96,9 +90,7 @@ def test_a_damaged_report_is_refused(result: Reconstruction, tmp_path: Path, tex
 
 
 @pytest.mark.slow
-def test_paths_and_objects_are_the_same(
-    capture: Capture, result: Reconstruction, tmp_path: Path
-) -> None:
+def test_paths_and_objects_are_the_same(capture, result, tmp_path):
     write_capture(capture, tmp_path / "c")
     by_path = splitknit.reconstruct(splitknit.read_capture(tmp_path / "c"), "ea")
     np.testing.assert_allclose(
@@ -116,6 +108,6 @@ def test_paths_and_objects_are_the_same(
     assert splitknit_match.make_print(capture, "photo").image.shape == printed.shape
 
 
-def test_a_folder_that_is_no_capture_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_capture_is_refused(tmp_path):
     with pytest.raises(BadInput, match="capture"):
         splitknit.read_capture(tmp_path)

@@ -1,7 +1,5 @@
 """Every benchmark is run by the one that runs them all, and the page beside them names it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -12,7 +10,7 @@ from script_folder import scripts_of
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 
 
-def test_all_benchmarks_are_run_and_named() -> None:
+def test_all_benchmarks_are_run_and_named():
     scripts = {file.name for file in BENCHMARKS.glob("bench_*.py")}
     with scripts_of(BENCHMARKS) as script:
         run_all = script("run_all")
@@ -21,7 +19,7 @@ def test_all_benchmarks_are_run_and_named() -> None:
     assert [name for name in sorted(scripts) if f"| `{name}` |" not in page] == []
 
 
-def test_the_page_shows_rows_of_the_stored_tables() -> None:
+def test_the_page_shows_rows_of_the_stored_tables():
     page = (BENCHMARKS.parent / "docs" / "experiments" / "performance.md").read_text(
         encoding="utf-8"
     )
@@ -41,7 +39,7 @@ def test_the_page_shows_rows_of_the_stored_tables() -> None:
         assert {file for file in run_all.TABLES.glob("bench_*.json") if file not in names} == set()
 
 
-def test_what_a_script_prints_is_stored_as_tables() -> None:
+def test_what_a_script_prints_is_stored_as_tables():
     printed = (
         "Cores: 2\n\n**First**\n\n| a | b |\n| --- | --- |\n| 1 | 2 / 3 |\n\n| c |\n| --- |\n|"
         " |\n### Next\nmore\n"
@@ -73,7 +71,7 @@ def test_what_a_script_prints_is_stored_as_tables() -> None:
         )
 
 
-def test_a_ratio_is_taken_round_by_round() -> None:
+def test_a_ratio_is_taken_round_by_round():
     with scripts_of(BENCHMARKS) as script:
         timing = script("timing")
         rows = timing.race({"nothing": lambda: None, "something": lambda: sum(range(20_000))}, 5)
@@ -86,9 +84,7 @@ def test_a_ratio_is_taken_round_by_round() -> None:
 
 
 @pytest.mark.slow
-def test_the_memory_of_photographs_is_measured(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_memory_of_photographs_is_measured(tmp_path, capsys, monkeypatch):
     with scripts_of(BENCHMARKS) as script:
         bench = script("bench_reconstruct")
         monkeypatch.setattr(bench, "OUT", tmp_path)

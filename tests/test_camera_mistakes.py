@@ -1,39 +1,31 @@
 """A camera that does not answer in proportion to the light is named, on simulated fingers."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 import splitknit_simulator
-from splitknit.capture import Capture
 from splitknit.methods.photographs import findings_for, photographs_of
 from splitknit.presets import PRESETS
 
-Light = np.ndarray[Any, np.dtype[np.float32]]
 GAINS = 1 + np.random.default_rng(61).uniform(-0.15, 0.15, (8, 3)).astype(np.float32)
 
 
 @lru_cache(maxsize=2)
-def sound(equal: bool) -> Capture:
+def sound(equal):
     """A finger under seven lights, whose brightness differs by 10 % or not."""
     settings = {"scale": 0.1} | ({"rig_seed": None} if equal else {})
     return splitknit_simulator.simulate_capture(6101, settings=settings)[0]
 
 
-def stored(
-    change: Callable[[Light, int], Light], *, ambient: bool = True, equal: bool = False
-) -> Capture:
+def stored(change, *, ambient=True, equal=False):
     """The capture with every image (H, W, 3) in [0, 1], and its number, changed; the ambient one is
     -1, or left out."""
 
-    def bytes_of(image: Any, k: int) -> Any:
+    def bytes_of(image, k):
         return np.clip(np.rint(255 * change(image.astype(np.float32) / 255, k)), 0, 255).astype(
             np.uint8
         )
@@ -48,13 +40,13 @@ def stored(
     return replace(sound(equal), bands=bands)
 
 
-def local_contrast(image: Light, _: int) -> Light:
+def local_contrast(image, _):
     """Divided by the root of what surrounds each pixel, in 2 mm."""
     around = cv2.GaussianBlur(image.mean(axis=2), (0, 0), 15)[..., None]
     return np.asarray(image * np.sqrt(0.3 / np.maximum(around, 0.05)))
 
 
-MISTAKES: dict[str, tuple[Callable[[Light, int], Light], str]] = {
+MISTAKES = {
     "sound": (lambda x, _: x, ""),
     "BGR": (lambda x, _: x[..., ::-1], "swapped-colours"),
     "white balance": (lambda x, k: x * GAINS[k], "white-balance"),
@@ -68,7 +60,7 @@ MISTAKES: dict[str, tuple[Callable[[Light, int], Light], str]] = {
 }
 
 
-def doubts_of(capture: Capture) -> list[str]:
+def doubts_of(capture):
     """Codes of what is wrong with the photographs, first what is worst."""
     metric = PRESETS["metric"]
     findings = findings_for(photographs_of(capture, metric.finding()), metric)
@@ -77,7 +69,7 @@ def doubts_of(capture: Capture) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MISTAKES)
-def test_the_cause_is_named(name: str) -> None:
+def test_the_cause_is_named(name):
     """First of all doubts; of the sound capture there is none."""
     change, code = MISTAKES[name]
     capture = stored(change, ambient=name not in {"lamp", "haze"})
@@ -87,7 +79,7 @@ def test_the_cause_is_named(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["sound", "gamma 0.8", "S curve", "local contrast"])
-def test_equal_lights_show_a_curve_by_their_shading(name: str) -> None:
+def test_equal_lights_show_a_curve_by_their_shading(name):
     """Light that is added to all images does not show there."""
     change, code = MISTAKES[name]
     codes = doubts_of(stored(change, equal=True))

@@ -1,8 +1,6 @@
 """The pages say what is true: links lead somewhere, generated pages are current, examples on them
 are read."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util
@@ -37,7 +35,7 @@ PAGES = sorted(
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_links_lead_to_files(page: Path) -> None:
+def test_links_lead_to_files(page):
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
         if "://" in target:
@@ -56,7 +54,7 @@ def test_links_lead_to_files(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_files_that_are_named_exist(page: Path) -> None:
+def test_files_that_are_named_exist(page):
     text = page.read_text(encoding="utf-8")
     named = set(
         re.findall(
@@ -71,7 +69,7 @@ def test_files_that_are_named_exist(page: Path) -> None:
     assert missing == []
 
 
-def test_the_site_lists_every_page() -> None:
+def test_the_site_lists_every_page():
     listed = re.findall(
         r"(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE
     )
@@ -82,7 +80,7 @@ def test_the_site_lists_every_page() -> None:
     assert sorted(listed) == sorted(page.relative_to(ROOT / "docs").as_posix() for page in pages)
 
 
-def test_the_site_fetches_nothing_and_its_search_works_from_the_disk() -> None:
+def test_the_site_fetches_nothing_and_its_search_works_from_the_disk():
     """The plugin `offline` would fetch its Worker for pages on the disk; the one of `docs/assets`
     replaces it."""
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
@@ -93,7 +91,7 @@ def test_the_site_fetches_nothing_and_its_search_works_from_the_disk() -> None:
         assert "http" not in (ROOT / "docs" / name).read_text(encoding="utf-8")
 
 
-def test_tables_of_the_reference_are_made_of_the_code() -> None:
+def test_tables_of_the_reference_are_made_of_the_code():
     tables = runpy.run_path(str(ROOT / "tools" / "reference_tables.py"))["TABLES"]
     rows = {"settings": "metric.rounds", "findings": "light-order", "parameters": "_RIM_AGREED"}
     for name, make in tables.items():
@@ -102,13 +100,13 @@ def test_tables_of_the_reference_are_made_of_the_code() -> None:
         assert f"\n| `{rows[name]}` | " in make()
 
 
-def test_the_page_of_the_command_line_lists_every_verb() -> None:
+def test_the_page_of_the_command_line_lists_every_verb():
     text = (ROOT / "docs" / "reference" / "command-line.md").read_text(encoding="utf-8")
     verbs = set(re.findall(r"^\| `splitknit (\w+)", text, flags=re.MULTILINE))
     assert verbs == set(VERBS)
 
 
-def commands_of(page: str) -> list[list[str]]:
+def commands_of(page):
     """Arguments of every `splitknit` line in the blocks of a page, but for usages with brackets or
     alternatives."""
     blocks = re.findall(r"```[a-z]*\n(.*?)```", page, flags=re.DOTALL)
@@ -123,7 +121,7 @@ def commands_of(page: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_commands_on_the_pages_are_understood(page: Path) -> None:
+def test_commands_on_the_pages_are_understood(page):
     app = build_app()
     for line in commands_of(page.read_text(encoding="utf-8")):
         words = [
@@ -135,7 +133,7 @@ def test_commands_on_the_pages_are_understood(page: Path) -> None:
             app.parse_args(words)
 
 
-def test_commands_are_found_on_a_page() -> None:
+def test_commands_are_found_on_a_page():
     page = (
         "```sh\n.venv/bin/splitknit match a \\\n  b  # alike?\nsplitknit rig cad"
         " [--below]\n```\n`splitknit demo`"
@@ -156,7 +154,7 @@ test "$1" = install || exec .venv/bin/splitknit "$1" --out "$1"
 at hand."""
 
 
-def work_through(page: Path, folder: Path) -> list[str]:
+def work_through(page, folder):
     """Do in `folder` what a page says, from top to bottom; return the lines that it promises and
     that did not come.
 
@@ -230,12 +228,12 @@ def work_through(page: Path, folder: Path) -> list[str]:
     ],
     ids=lambda page: f"{page.parent.name}/{page.stem}",
 )
-def test_what_the_page_promises_comes(page: Path, tmp_path: Path) -> None:
+def test_what_the_page_promises_comes(page, tmp_path):
     missing = work_through(page, tmp_path)
     assert missing == [], "\n".join(missing)
 
 
-def test_a_promise_that_is_not_kept_is_found(tmp_path: Path) -> None:
+def test_a_promise_that_is_not_kept_is_found(tmp_path):
     page = tmp_path / "page.md"
     page.write_text(
         "<!-- file a/b.txt -->\n```\n1\n```\n```sh\necho one; echo two in 3.1 ms each; echo"
@@ -249,7 +247,7 @@ def test_a_promise_that_is_not_kept_is_found(tmp_path: Path) -> None:
     assert (tmp_path / "work" / "a" / "b.txt").read_text() == "1\n"
 
 
-def test_the_figures_of_the_readme_are_those_of_the_experiments() -> None:
+def test_the_figures_of_the_readme_are_those_of_the_experiments():
     """Figures with intervals stand on a page of the experiments, those of any other row together on
     a line there."""
     pages = "\n".join(
@@ -273,7 +271,7 @@ def test_the_figures_of_the_readme_are_those_of_the_experiments() -> None:
         )
 
 
-def faults_of_claim(row: dict[str, str], page: Path) -> list[str]:
+def faults_of_claim(row, page):
     """What a row of the claims' table states that is not so: verdict, page with its intervals,
     script and options."""
     number, verdict, again = row["number"], row["verdict"], row["again"]
@@ -307,7 +305,7 @@ def faults_of_claim(row: dict[str, str], page: Path) -> list[str]:
     return [f"claim {number}: {fault}" for fault in faults]
 
 
-def test_the_claims_stand_on_their_pages_and_their_commands_exist() -> None:
+def test_the_claims_stand_on_their_pages_and_their_commands_exist():
     script = runpy.run_path(str(ROOT / "tools" / "make_claims_page.py"))
     page, rows = script["PAGE"], script["read"]()
     numbers = [int(row["number"].rstrip("abcdef")) for row in rows]
@@ -330,7 +328,7 @@ def test_the_claims_stand_on_their_pages_and_their_commands_exist() -> None:
     assert len(faults_of_claim(row, page)) == 5
 
 
-def test_verdicts_follow_from_the_interval_and_the_page_is_made_of_the_table() -> None:
+def test_verdicts_follow_from_the_interval_and_the_page_is_made_of_the_table():
     script = runpy.run_path(str(ROOT / "tools" / "make_claims_page.py"))
     assert script["PAGE"].read_text(encoding="utf-8") == script["page"](), (
         "run tools/make_claims_page.py"
@@ -360,7 +358,7 @@ def test_verdicts_follow_from_the_interval_and_the_page_is_made_of_the_table() -
     assert {case: script["verdict"](*case) for case in rules} == rules
 
 
-def test_the_sums_of_the_rigs_checklist_are_right() -> None:
+def test_the_sums_of_the_rigs_checklist_are_right():
     text = (ROOT / "docs" / "guide" / "rig-checklist.md").read_text(encoding="utf-8")
     order = text.partition("## Order")[2].partition("## Print")[0]
     prices = [
@@ -385,7 +383,7 @@ def test_the_sums_of_the_rigs_checklist_are_right() -> None:
         assert abs(sum(float(row[column]) for row in rows) - float(value)) < 0.11, total
 
 
-def test_captures_by_hand_are_read(tmp_path: Path) -> None:
+def test_captures_by_hand_are_read(tmp_path):
     text = (ROOT / "docs" / "reference" / "capture-format.md").read_text(encoding="utf-8")
     examples = re.findall(r"<!-- example (\S+) -->\n```json\n(.*?)```", text, flags=re.DOTALL)
     rigs = [body for name, body in examples if name == "rig.json"]
@@ -415,7 +413,7 @@ def test_captures_by_hand_are_read(tmp_path: Path) -> None:
         "methods.metric.metric_skin",
     ],
 )
-def test_the_architecture_page_quotes_the_algorithm(name: str) -> None:
+def test_the_architecture_page_quotes_the_algorithm(name):
     """Every line of the functions, docstrings left out, in a block of the page."""
     module, _, function = name.rpartition(".")
     source = inspect.getsource(getattr(importlib.import_module(f"splitknit.{module}"), function))

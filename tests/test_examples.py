@@ -1,7 +1,5 @@
 """Every example runs without arguments, quickly and without warnings."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import subprocess
@@ -16,7 +14,7 @@ EXAMPLES = sorted((ROOT / "examples").glob("plot_*.py"))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs(example: Path, tmp_path: Path) -> None:
+def test_example_runs(example, tmp_path):
     done = subprocess.run(
         [sys.executable, "-W", "error", str(example)],
         capture_output=True,
@@ -30,7 +28,7 @@ def test_example_runs(example: Path, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []  # an example cleans up after itself
 
 
-def test_the_page_shows_the_examples_as_they_are() -> None:
+def test_the_page_shows_the_examples_as_they_are():
     """`make examples` was run after the last change of any of them."""
     page = (ROOT / "docs" / "guide" / "examples.md").read_text(encoding="utf-8")
     digests = dict(re.findall(r"<!-- (plot_\w+\.py) ([0-9a-f]{64}) -->", page))

@@ -1,10 +1,7 @@
 """The comparison of ``tools/golden.py``; its cases take a minute and are run by ``.ci/run``."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +10,7 @@ TOOL = Path(__file__).resolve().parents[1] / "tools" / "golden.py"
 
 
 @pytest.fixture(scope="module")
-def golden() -> Any:
+def golden():
     spec = importlib.util.spec_from_file_location("golden", TOOL)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -21,7 +18,7 @@ def golden() -> Any:
     return module
 
 
-def test_results_may_differ_by_a_thousandth_of_their_spread(golden: Any) -> None:
+def test_results_may_differ_by_a_thousandth_of_their_spread(golden):
     height = np.linspace(0.0, 1.0, 1000, dtype=np.float32).reshape(20, 50)
     spread = np.float32(height.std())
     nudged, shifted, local, cut = (height.copy() for _ in range(4))
@@ -30,7 +27,7 @@ def test_results_may_differ_by_a_thousandth_of_their_spread(golden: Any) -> None
     local[:4, :6] += 0.01  # mean and spread hardly change
     cut[0, :] = np.nan
 
-    def measured(array: Any, case: str = "metric") -> dict[str, Any]:
+    def measured(array, case="metric"):
         return {case: {"height_mm": golden.entry(array)}}
 
     assert golden.differences(measured(height), measured(height.copy())) == []
@@ -40,8 +37,8 @@ def test_results_may_differ_by_a_thousandth_of_their_spread(golden: Any) -> None
     assert len(golden.differences(measured(height), {})) == 1
 
 
-def test_a_score_is_compared_with_itself(golden: Any) -> None:
-    def scored(similarity: float) -> dict[str, Any]:
+def test_a_score_is_compared_with_itself(golden):
+    def scored(similarity):
         return {"match ridge": {"similarity": golden.entry(np.float64(similarity))}}
 
     assert golden.differences(scored(0.78), scored(0.787)) == []

@@ -1,8 +1,6 @@
 """``import splitknit`` and ``splitknit --help`` load none of the heavy packages (and so stay far
 below 0.3 s)."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -17,7 +15,7 @@ HEAVY = ("numpy", "cv2", "scipy", "jinja2", "torch", "onnxruntime", "matplotlib"
 REPORT = "import sys, json; print(json.dumps([m for m in {heavy!r} if m in sys.modules]))"
 
 
-def _loaded_after(code: str, names: tuple[str, ...] = HEAVY) -> list[str]:
+def _loaded_after(code, names=HEAVY):
     run = subprocess.run(
         [sys.executable, "-c", code + "\n" + REPORT.format(heavy=names)],
         capture_output=True,
@@ -27,18 +25,18 @@ def _loaded_after(code: str, names: tuple[str, ...] = HEAVY) -> list[str]:
     return list(json.loads(run.stdout.splitlines()[-1]))
 
 
-def test_import_loads_nothing_heavy() -> None:
+def test_import_loads_nothing_heavy():
     assert _loaded_after("import splitknit; splitknit.__version__; dir(splitknit)") == []
 
 
-def test_help_needs_no_numerics() -> None:
+def test_help_needs_no_numerics():
     for words in (["--help"], ["reconstruct", "--help"]):
         assert (
             _loaded_after(f"from splitknit.cli.main import main\nassert main({words}) == 0") == []
         )
 
 
-def test_the_pipeline_loads_scipy_in_parts_when_they_are_used() -> None:
+def test_the_pipeline_loads_scipy_in_parts_when_they_are_used():
     parts = (
         "scipy.fft",
         "scipy.ndimage",
@@ -50,7 +48,7 @@ def test_the_pipeline_loads_scipy_in_parts_when_they_are_used() -> None:
     assert _loaded_after("import splitknit.pipeline", parts) == []
 
 
-def test_a_comparison_of_templates_loads_no_reconstruction(tmp_path) -> None:
+def test_a_comparison_of_templates_loads_no_reconstruction(tmp_path):
     """The whole of ``splitknit match a.skt b.skt``: numpy, OpenCV, and of this library what
     compares ridges."""
     rng = np.random.default_rng(0)
@@ -86,11 +84,11 @@ def test_a_comparison_of_templates_loads_no_reconstruction(tmp_path) -> None:
     assert _loaded_after(code, (*(f"splitknit.{name}" for name in others), *parts)) == []
 
 
-def test_types_need_numpy_only() -> None:
+def test_types_need_numpy_only():
     assert _loaded_after("from splitknit import Capture, BadInput") == ["numpy"]
 
 
-def test_every_public_name_resolves() -> None:
+def test_every_public_name_resolves():
     import splitknit
 
     for name in splitknit.__all__:

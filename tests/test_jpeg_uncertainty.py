@@ -1,7 +1,5 @@
 """What JPEG may have taken stands in the relief's uncertainty, by scale."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,7 @@ from splitknit_simulator import simulate_capture
 
 
 @pytest.mark.slow
-def test_coarse_jpeg_photographs_tell_little_of_the_relief() -> None:
+def test_coarse_jpeg_photographs_tell_little_of_the_relief():
     capture, _ = simulate_capture(3, settings={"scale": 0.08})  # 6 px/mm
     white = capture.bands["white"]
     named = replace(white, files=tuple(f"{k}.jpg" for k in range(len(white.pixels))))

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import runpy
 import subprocess
@@ -12,7 +10,7 @@ SCRIPT = Path(__file__).resolve().parents[1] / "tools" / "measure_house.py"
 
 
 @pytest.mark.slow
-def test_a_small_house_is_measured(tmp_path: Path) -> None:
+def test_a_small_house_is_measured(tmp_path):
     package = tmp_path / "src" / "splitknit"
     (package / "cli").mkdir(parents=True)
     (package / "photometric").mkdir()
@@ -94,7 +92,7 @@ class Ball:
 '''
 
 
-def test_tuned_constants_are_numbers_without_a_source(tmp_path: Path) -> None:
+def test_tuned_constants_are_numbers_without_a_source(tmp_path):
     (tmp_path / "near.py").write_text(NUMBERS)
     constants = list(runpy.run_path(str(SCRIPT))["constants"](tmp_path))
     assert [(c.name, c.tuned) for c in constants] == [

@@ -5,8 +5,6 @@ Each runs with a home of its own, without a network where that is permitted, and
 strace, which sees what compiled modules do, or, where there is none, by an audit hook of Python.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -14,16 +12,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from splitknit.cli.app import build_app, words_of_verbs
 from splitknit_simulator.population.folder import simulate_population
 from splitknit_simulator.population.sessions import PopulationSettings
-
-Event = tuple[str, str]
-"""``address``, ``lookup`` or ``write``, and of what."""
 
 SYSCALLS = (
     "connect,sendto,sendmsg,sendmmsg,open,openat,openat2,creat,mkdir,mkdirat,mknod,mknodat,"
@@ -101,14 +95,14 @@ NETWORKS = {
 SYSTEM = re.compile(r"/dev/(null|tty|shm/sem\.[^/]*)|/proc/self/[^/]*")
 
 
-def works(*command: str) -> bool:
+def works(*command):
     return (
         shutil.which(command[0]) is not None
         and not subprocess.run(command, capture_output=True, check=False).returncode
     )
 
 
-def watched(code: str, folder: Path, *arguments: str, strace: bool) -> list[Event]:
+def watched(code, folder, *arguments, strace):
     """Run Python code in `folder`; return what it reads, writes, looks up and connects to, and what
     it leaves."""
     outside, work = folder / "outside", folder / "work"
@@ -152,7 +146,7 @@ def watched(code: str, folder: Path, *arguments: str, strace: bool) -> list[Even
     return [*events, *(("left", str(path)) for path in left)]
 
 
-def of_strace(line: str, work: Path) -> list[Event]:
+def of_strace(line, work):
     """Events of one line of a log of strace -y."""
     call = line.partition("(")[0]
     if call in ("connect", "sendto", "sendmsg", "sendmmsg"):
@@ -174,7 +168,7 @@ def of_strace(line: str, work: Path) -> list[Event]:
     return [("read" if reads else "write", path)]
 
 
-def violations(events: list[Event], folder: Path) -> list[Event]:
+def violations(events, folder):
     allowed = [
         str(folder / "work"),
         str(folder / "outside" / "tmp"),
@@ -197,7 +191,7 @@ STRACE = works("strace", "-f", "true")
 
 
 @pytest.fixture(params=["strace", "audit hook"])
-def strace(request: Any) -> bool:
+def strace(request):
     if request.param == "strace" and not STRACE:
         pytest.skip("strace is not installed, or may not trace")
     return request.param == "strace"
@@ -224,7 +218,7 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("what", PLANTED)
-def test_what_leaves_is_seen(tmp_path: Path, what: str, strace: bool) -> None:
+def test_what_leaves_is_seen(tmp_path, what, strace):
     kind, code = PLANTED[what]
     seen = violations(watched(code, tmp_path, strace=strace), tmp_path)
     if what.startswith("telemetry") and not seen:
@@ -232,7 +226,7 @@ def test_what_leaves_is_seen(tmp_path: Path, what: str, strace: bool) -> None:
     assert kind in {kind for kind, _ in seen}
 
 
-def test_what_stays_is_allowed(tmp_path: Path, strace: bool) -> None:
+def test_what_stays_is_allowed(tmp_path, strace):
     code = (
         "import socket, tempfile; socket.socket(type=socket.SOCK_DGRAM).connect_ex(('127.0.0.1',"
         " 9)); "
@@ -249,7 +243,7 @@ FINGERS = ("right_index", "left_index")
 
 
 @pytest.fixture(scope="module")
-def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def people(tmp_path_factory):
     """Two fingers, 132 x 192 pixels."""
     folder = tmp_path_factory.mktemp("watched") / "people"
     simulate_population(
@@ -266,7 +260,7 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "run", ["verbs", "processes", pytest.param("demo", marks=pytest.mark.slow)]
 )
-def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> None:
+def test_nothing_leaves_the_machine(tmp_path, people, run):
     places = {"PEOPLE": str(people), "CAPTURE": str(people / "S01" / "session_1" / "right_index")}
     before = sorted(people.rglob("*"))
     if run != "processes":
@@ -282,7 +276,7 @@ def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> N
     assert sorted(people.rglob("*")) == before
 
 
-def test_every_verb_that_loads_a_network_is_watched() -> None:
+def test_every_verb_that_loads_a_network_is_watched():
     app = build_app()
     options = {
         words[0]: {

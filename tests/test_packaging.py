@@ -1,8 +1,6 @@
 """What installs the program agrees with pyproject.toml: wheel, conda recipe, environment.yml,
 Dockerfile, workflow."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path
@@ -32,7 +30,7 @@ CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
 """Names that differ there."""
 
 
-def of_conda(requirements: list[str]) -> set[str]:
+def of_conda(requirements):
     """`numpy>=2.0` as conda writes it."""
     names = [
         re.fullmatch(r"([\w-]+)(>=[\d.,<]+)(; .*)?", requirement) for requirement in requirements
@@ -42,7 +40,7 @@ def of_conda(requirements: list[str]) -> set[str]:
 
 
 @pytest.mark.parametrize("member", MEMBERS)
-def test_the_wheel_holds_every_file_of_the_package(member: str) -> None:
+def test_the_wheel_holds_every_file_of_the_package(member):
     """No rule of .gitignore, which hatchling obeys, takes out networks, presets, pages or
     licences."""
     wheel = pytest.importorskip("hatchling.builders.wheel")
@@ -69,7 +67,7 @@ def test_the_wheel_holds_every_file_of_the_package(member: str) -> None:
         assert (home / licence).is_file()
 
 
-def test_members_have_one_version_and_need_each_other_in_it() -> None:
+def test_members_have_one_version_and_need_each_other_in_it():
     assert {project["version"] for project in PROJECTS.values()} == {PROJECT["version"]}
     for name, project in PROJECTS.items():
         others = {
@@ -81,12 +79,12 @@ def test_members_have_one_version_and_need_each_other_in_it() -> None:
         assert others == {f"{requirement}=={PROJECT['version']}" for requirement in wanted}
 
 
-def test_the_core_needs_nine_packages_and_none_of_the_large_ones() -> None:
+def test_the_core_needs_nine_packages_and_none_of_the_large_ones():
     names = {re.split(r"[^\w-]", text)[0] for text in PROJECT["dependencies"]}
     assert len(names) <= 9 and not names & {"cryptography", "pyarrow", "torch", "matplotlib"}
 
 
-def test_the_conda_recipe_needs_what_the_project_needs() -> None:
+def test_the_conda_recipe_needs_what_the_project_needs():
     text = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
     recipe = yaml.safe_load(re.sub(r"{{ *(\w+) *}}", r"\1", text))
     assert recipe["package"] == {"name": PROJECT["name"], "version": PROJECT["version"]}
@@ -102,7 +100,7 @@ def test_the_conda_recipe_needs_what_the_project_needs() -> None:
     ]
 
 
-def test_the_conda_environment_has_the_extra_plot() -> None:
+def test_the_conda_environment_has_the_extra_plot():
     environment = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))
     needed = of_conda(NEEDED + PROJECTS["splitknit-match"]["optional-dependencies"]["plot"])
     conda = {
@@ -112,7 +110,7 @@ def test_the_conda_environment_has_the_extra_plot() -> None:
     assert environment["dependencies"][-1] == {"pip": [f"./packages/{name}" for name in MEMBERS]}
 
 
-def test_the_docker_image_is_made_of_files_that_are_let_in() -> None:
+def test_the_docker_image_is_made_of_files_that_are_let_in():
     text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
     copied = {
         name
@@ -129,7 +127,7 @@ def test_the_docker_image_is_made_of_files_that_are_let_in() -> None:
     assert "'splitknit-match[plot,serve]'" in text
 
 
-def test_everything_is_installed_as_the_constraints_say() -> None:
+def test_everything_is_installed_as_the_constraints_say():
     """Every pip command of Makefile, Dockerfile and workflow checks hashes, or takes the project
     alone."""
     for name in ("Makefile", "Dockerfile", ".github/workflows/ci.yml"):
@@ -154,7 +152,7 @@ def test_everything_is_installed_as_the_constraints_say() -> None:
     )
 
 
-def test_the_workflow_runs_what_is_there_on_versions_that_are_declared() -> None:
+def test_the_workflow_runs_what_is_there_on_versions_that_are_declared():
     workflow = yaml.safe_load(
         (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
     )

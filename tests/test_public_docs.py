@@ -51,12 +51,12 @@ def lacking(function: Callable[..., Any]) -> list[str]:
 
 
 @pytest.mark.parametrize("name", sorted(PUBLIC))
-def test_public_functions_are_described(name: str) -> None:
+def test_public_functions_are_described(name):
     assert lacking(PUBLIC[name]) == []
 
 
-def test_what_lacks_is_found() -> None:
-    def silent(a: int, b: int) -> int:
+def test_what_lacks_is_found():
+    def silent(a, b):
         """Add."""
         raise splitknit.BadInput(str(a + b))
 
@@ -68,9 +68,7 @@ def hooks() -> ModuleType:
     return HOOKS
 
 
-def test_the_site_shows_every_public_name_and_verb(
-    hooks: ModuleType, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_site_shows_every_public_name_and_verb(hooks, caplog):
     with caplog.at_level(logging.WARNING):
         page = hooks.public_names()
     assert caplog.records == []
@@ -81,18 +79,14 @@ def test_the_site_shows_every_public_name_and_verb(
     assert "### `splitknit gallery import`" in hooks.help_of_every_verb()
 
 
-def test_a_public_name_without_words_is_found(
-    hooks: ModuleType, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_public_name_without_words_is_found(hooks, caplog, monkeypatch):
     monkeypatch.setattr(splitknit.Led, "__doc__", "Led(position_mm)")
     with caplog.at_level(logging.WARNING):
         hooks.public_names()
     assert "splitknit.Led is public and has no docstring" in caplog.text
 
 
-def test_links_out_of_the_pages_become_paths_and_tables_are_copied(
-    hooks: ModuleType, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_links_out_of_the_pages_become_paths_and_tables_are_copied(hooks, caplog):
     text = "[README](../README.md), [code](../packages/splitknit/src/splitknit/model.py#a), "
     text += "[page](guide/install.md), [table](../validation/thesis/tables/claims.csv), "
     text += "[gone](../gone.py)"

@@ -1,8 +1,6 @@
 """SECURITY.md, sentence by sentence: each claim stands there, and names the tests that try to break
 it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -14,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 CORE, RIG, MATCH = (
     f"packages/{member}/tests" for member in ("splitknit", "splitknit-rig", "splitknit-match")
 )
-CLAIMS: dict[str, tuple[str, ...]] = {
+CLAIMS = {
     "nothing is sent and no name is looked up": ("tests/test_no_network.py",),
     "files are made 0600, folders 0700": (
         f"{CORE}/io/test_io_atomic.py::test_what_is_written_is_private",
@@ -136,10 +134,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     "TLS with certificates on both sides": (
         f"{MATCH}/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
     ),
-    "fuzzers for every reader": (
-        "tests/fuzz/test_fuzz.py",
-        "tests/fuzz/run.py",
-    ),
+    "fuzzers for every reader": ("tests/fuzz/test_fuzz.py", "tests/fuzz/run.py"),
     "photographs that it wrote are replaced with `--overwrite` only": (
         "tests/io/test_targets.py::test_no_verb_replaces_photographs",
     ),
@@ -218,10 +213,10 @@ UNTESTED = {
 """What no test holds, and what was tried or read instead."""
 
 
-def clauses() -> list[str]:
+def clauses():
     """SECURITY.md in pieces: each sentence, and of a row of its table each part of the last
     cell."""
-    pieces: list[str] = []
+    pieces = []
     text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
     for block in re.split(r"\n\s*\n|\n(?=- |\|)", text):
         words = " ".join(block.split()).lstrip("- ")
@@ -235,12 +230,12 @@ def clauses() -> list[str]:
 
 
 @pytest.mark.parametrize("clause", clauses())
-def test_every_sentence_is_held_by_a_test_or_listed_as_untested(clause: str) -> None:
+def test_every_sentence_is_held_by_a_test_or_listed_as_untested(clause):
     assert [part for part in (*CLAIMS, *UNTESTED) if part in clause or clause.strip(".; |") in part]
 
 
 @pytest.mark.parametrize("claim", [*CLAIMS, *UNTESTED])
-def test_each_claim_stands_there_and_its_tests_exist(claim: str) -> None:
+def test_each_claim_stands_there_and_its_tests_exist(claim):
     assert claim in " ".join((ROOT / "SECURITY.md").read_text(encoding="utf-8").split())
     assert (claim in CLAIMS) != (claim in UNTESTED)
     for place in CLAIMS.get(claim, ()):

@@ -1,14 +1,12 @@
 """Checkerboards drawn here: where corners are, whatever the light, and no board but the one that
 was asked for."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 
 from camera_views import seen, turned
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_rig.calibration.targets import Board, find_board
 
 SIZE = (400, 560)
@@ -96,14 +94,14 @@ def test_a_board_that_is_cut_off_or_absent_is_not_found():
 
 @pytest.mark.parametrize("text", ["9", "9x6x3", "-9x6"])
 def test_what_is_no_size(text):
-    with pytest.raises(BadInput, match="such as 9x6"):
+    with bad_input("such as 9x6"):
         Board.named(text, 3.0)
 
 
 def test_what_is_no_picture():
     board = Board(9, 6, 3.0)
-    with pytest.raises(BadInput, match="one brightness all over"):
+    with bad_input("one brightness all over"):
         find_board(np.ones((50, 50)), board)
     for square in (0.0, np.nan, 1e9):
-        with pytest.raises(BadInput, match="side of a square"):
+        with bad_input("side of a square"):
             Board(9, 6, square)

@@ -1,12 +1,10 @@
 """The finger plane: height and tilt from marks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from camera_views import BOARD, MATRIX, seen
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_rig.calibration.plane import mean_pose, plane_pose
 
 MARKS = BOARD.points_mm - BOARD.points_mm.mean(axis=0)
@@ -73,7 +71,7 @@ def test_deviations_are_what_repetition_gives():
 
 
 def test_marks_that_do_not_do():
-    with pytest.raises(BadInput, match="on one line"):
+    with bad_input("on one line"):
         plane_pose(BOARD.points_mm[:9], seen(MARKS, np.eye(3), (0, 0, 140.0))[:9], MATRIX)
-    with pytest.raises(BadInput, match="at least 5 marks"):
+    with bad_input("at least 5 marks"):
         plane_pose(MARKS[:4], MARKS[:4], MATRIX)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import ast
 import json
 import os
@@ -7,45 +5,33 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import splitknit_match
 from handmade import capture_of, finger
 from splitknit import pipeline
-from splitknit.capture import Capture
 from splitknit.cli.app import build_app, options_of, words_of_verbs
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
-from splitknit.reconstruction import Reconstruction
 from splitknit.report.result import FILES
-
-Captured = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def capture_folder(tmp_path: Path) -> Path:
+def capture_folder(tmp_path):
     result, truth = finger()
     write_capture(capture_of(result), tmp_path / "capture", truth)
     return tmp_path / "capture"
 
 
 @pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def seen(monkeypatch):
     """Put a stage of our own in the pipeline's place; return what it was called with."""
-    calls: dict[str, Any] = {}
+    calls = {}
 
-    def stand_in(
-        capture: Capture,
-        preset: str = "metric",
-        settings: Mapping[str, Any] | None = None,
-        progress: Callable[[str, float], None] | None = None,
-        kept: object = None,
-    ) -> Reconstruction:
+    def stand_in(capture, preset="metric", settings=None, progress=None, kept=None):
         calls.update(
             preset=preset,
             settings=dict(settings or {}),
@@ -62,9 +48,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return calls
 
 
-def test_reconstruct_writes_and_says_so(
-    capture_folder: Path, seen: dict[str, Any], capsys: Captured
-) -> None:
+def test_reconstruct_writes_and_says_so(capture_folder, seen, capsys):
     out = capture_folder.parent / "result"
     code = main(
         f"reconstruct {capture_folder} --out {out} --preset snk --set knit.method=addition".split()
@@ -85,9 +69,7 @@ def test_reconstruct_writes_and_says_so(
     assert output.err == ""  # no progress in a pipe
 
 
-def test_json_is_one_object_and_nothing_else(
-    capture_folder: Path, seen: dict[str, Any], capsys: Captured
-) -> None:
+def test_json_is_one_object_and_nothing_else(capture_folder, seen, capsys):
     out = capture_folder.parent / "result"
     assert main(f"reconstruct {capture_folder} --out {out} --json".split()) == 0
     output = capsys.readouterr()
@@ -114,13 +96,8 @@ def test_json_is_one_object_and_nothing_else(
     ],
 )
 def test_failures_have_their_codes(  # noqa: PLR0917
-    capture_folder: Path,
-    seen: dict[str, Any],
-    capsys: Captured,
-    error: BaseException,
-    code: int,
-    words: str,
-) -> None:
+    capture_folder, seen, capsys, error, code, words
+):
     seen["raise"] = error
     out = capture_folder.parent / "deep" / "result"
     assert main(f"reconstruct {capture_folder} --out {out}".split()) == code
@@ -132,10 +109,8 @@ def test_failures_have_their_codes(  # noqa: PLR0917
     assert [path.name for path in capture_folder.parent.iterdir()] == ["capture"]
 
 
-def test_a_folder_of_another_user_is_one_sentence(
-    monkeypatch: pytest.MonkeyPatch, capsys: Captured
-) -> None:
-    def denied(options: Any) -> None:
+def test_a_folder_of_another_user_is_one_sentence(monkeypatch, capsys):
+    def denied(options):
         raise PermissionError(13, "Permission denied", "theirs/x")
 
     monkeypatch.setattr("splitknit.io.results.read_result", denied)
@@ -146,9 +121,7 @@ def test_a_folder_of_another_user_is_one_sentence(
     )
 
 
-def test_traceback_is_shown_on_request(
-    capture_folder: Path, seen: dict[str, Any], capsys: Captured
-) -> None:
+def test_traceback_is_shown_on_request(capture_folder, seen, capsys):
     seen["raise"] = RuntimeError("odd")
     out = capture_folder.parent / "result"
     assert main(f"reconstruct {capture_folder} --out {out} --traceback".split()) == 1
@@ -172,9 +145,7 @@ def test_traceback_is_shown_on_request(
         "simulate --out x --settings nowhere.toml",
     ],
 )
-def test_wrong_usage_is_code_2(
-    arguments: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
-) -> None:
+def test_wrong_usage_is_code_2(arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(arguments.split()) == 2
     assert "Traceback" not in capsys.readouterr().err
@@ -182,7 +153,7 @@ def test_wrong_usage_is_code_2(
 
 
 @pytest.mark.parametrize("arguments", ["--help", "--version", "demo --help", "simulate --help"])
-def test_help_is_code_0(arguments: str, capsys: Captured) -> None:
+def test_help_is_code_0(arguments, capsys):
     assert main(arguments.split()) == 0
     assert "splitknit" in capsys.readouterr().out
 
@@ -192,9 +163,7 @@ def test_help_is_code_0(arguments: str, capsys: Captured) -> None:
 @pytest.mark.parametrize(
     "words", [["--version"], ["match", "--help"], ["simulate", "--scale", "0.05", "--out", "OUT"]]
 )
-def test_a_closed_pipe_is_no_error_and_a_full_disk_is_one_sentence(
-    tmp_path: Path, words: list[str]
-) -> None:
+def test_a_closed_pipe_is_no_error_and_a_full_disk_is_one_sentence(tmp_path, words):
     command = [
         sys.executable,
         "-m",
@@ -236,23 +205,16 @@ sys.exit(main())
 
 
 @pytest.mark.parametrize(
-    ("which", "number"),
-    [
-        (1, signal.SIGTERM),
-        (100, signal.SIGINT),
-        (300, signal.SIGTERM),
-    ],
+    ("which", "number"), [(1, signal.SIGTERM), (100, signal.SIGINT), (300, signal.SIGTERM)]
 )
-def test_an_interrupt_in_an_import_is_one_line(
-    tmp_path: Path, which: int, number: signal.Signals
-) -> None:
+def test_an_interrupt_in_an_import_is_one_line(tmp_path, which, number):
     """Of the verb, of numpy, of what the verb loads."""
     arguments = [str(which), str(int(number)), "reconstruct", "nowhere", "--out", "x"]
     assert_interrupted(INTERRUPTED_AT_IMPORT, *arguments, cwd=tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
-def assert_interrupted(code: str, *arguments: str, cwd: Path | None = None) -> None:
+def assert_interrupted(code, *arguments, cwd=None):
     """One line and no more where `code` runs the program, which is interrupted."""
     run = subprocess.run(
         [sys.executable, "-c", code, *arguments],
@@ -268,7 +230,7 @@ def assert_interrupted(code: str, *arguments: str, cwd: Path | None = None) -> N
 
 
 @pytest.mark.parametrize("error", ["ImportError", "BadInput"])
-def test_an_interrupt_that_a_module_makes_an_error_of_is_one(error: str) -> None:
+def test_an_interrupt_that_a_module_makes_an_error_of_is_one(error):
     """As pybind11 does where the import of a compiled module is interrupted."""
     code = f"""
 import os, signal, sys
@@ -288,7 +250,7 @@ sys.exit(cli.main())
     assert_interrupted(code, "profile", "a", "1,1", "2,2")
 
 
-def test_an_interrupt_in_a_finalizer_ends_the_verb() -> None:
+def test_an_interrupt_in_a_finalizer_ends_the_verb():
     """Python prints and forgets an exception of a weak reference's callback."""
     code = """
 import os, signal, sys, time, weakref
@@ -310,7 +272,7 @@ sys.exit(cli.main())
     assert_interrupted(code, "profile", "a", "1,1", "2,2")
 
 
-def test_an_interrupt_at_exit_is_no_traceback() -> None:
+def test_an_interrupt_at_exit_is_no_traceback():
     code = "import atexit, os, signal, sys; from splitknit.cli.main import main; "
     code += (
         "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT)); sys.argv[1:] = ['simulate'];"
@@ -322,7 +284,7 @@ def test_an_interrupt_at_exit_is_no_traceback() -> None:
     assert "Traceback" not in run.stderr
 
 
-def test_the_program_begins_with_next_to_no_imports() -> None:
+def test_the_program_begins_with_next_to_no_imports():
     """Until its main begins, an interrupt is Python's own and shows a traceback."""
     code = "import sys; from splitknit.cli import main as cli; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -339,9 +301,7 @@ def test_the_program_begins_with_next_to_no_imports() -> None:
         ["simulate", "--out", "x", "--no\nsuch\x1b[1m"],
     ],
 )
-def test_an_error_is_one_line_whatever_it_quotes(
-    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
-) -> None:
+def test_an_error_is_one_line_whatever_it_quotes(arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2
     (line,) = [
@@ -351,9 +311,7 @@ def test_an_error_is_one_line_whatever_it_quotes(
     assert "x1b[1m" in line
 
 
-def test_a_success_moves_no_cursor_whatever_its_files_are_called(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
-) -> None:
+def test_a_success_moves_no_cursor_whatever_its_files_are_called(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["simulate", "--scale", "0.05", "--out", "a\x1b[2Jb\nc\u202eexe"]) == 0
     out = capsys.readouterr().out
@@ -368,7 +326,7 @@ ASCII = (
 
 
 @pytest.mark.parametrize("ascii_only", ASCII)
-def test_what_a_terminal_cannot_show_is_escaped(ascii_only: dict[str, str]) -> None:
+def test_what_a_terminal_cannot_show_is_escaped(ascii_only):
     """Facts, errors and argparse's messages; the result may be written already."""
     program = "import sys; from splitknit import profile; from splitknit.arguments import Report; "
     program += "from splitknit.cli import main as cli; "
@@ -387,7 +345,7 @@ def test_what_a_terminal_cannot_show_is_escaped(ascii_only: dict[str, str]) -> N
         assert wanted in (run.stdout + run.stderr).decode("ascii")
 
 
-def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_kill_leaves_nothing_behind(tmp_path):
     """SIGTERM in the middle of the work: code 130 and an empty folder."""
     code = (
         "import os, signal, sys; sys.argv = ['splitknit', 'simulate', '--out', sys.argv[1]]; "
@@ -406,7 +364,7 @@ def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_experiments_and_benchmarks_import_no_command_line() -> None:
+def test_experiments_and_benchmarks_import_no_command_line():
     """They call the library, or run the program."""
     root = Path(__file__).resolve().parents[2]
     scripts = [
@@ -426,7 +384,7 @@ OF_FUNCTIONS = {"intensities", "memory", "pitch_mm", "resolution_ppi", "view"}
 
 
 @pytest.mark.slow
-def test_arguments_that_messages_name_are_fields_of_verbs() -> None:
+def test_arguments_that_messages_name_are_fields_of_verbs():
     """A message of the library names an argument between backticks; the command line writes its
     option."""
     app = build_app()
@@ -447,7 +405,7 @@ def test_arguments_that_messages_name_are_fields_of_verbs() -> None:
     assert named - known == set()
 
 
-def test_an_error_names_the_option(tmp_path: Path, capsys: Captured) -> None:
+def test_an_error_names_the_option(tmp_path, capsys):
     words = f"identify {tmp_path}/people.skg {tmp_path} --top 0".split()
     assert main(words) == 2
     assert capsys.readouterr().err == "splitknit: error: --top must be at least 1, but it is 0.\n"

@@ -1,12 +1,9 @@
 """Photographs through the command line: one command to a surface, one to a capture, and a scale
 that is not known."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +19,7 @@ RADIUS = 200.0
 
 
 @pytest.fixture(scope="module")
-def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def photos(tmp_path_factory):
     """A cap of a ball with ridges of 8 pixels all over it, under five lights."""
     root = tmp_path_factory.mktemp("photos")
     rows, columns = np.mgrid[:200, :200]
@@ -41,13 +38,13 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def result(photos: Path) -> Path:
+def result(photos):
     assert main(f"reconstruct --images {photos} --preset ea --out {photos}/result".split()) == 0
     return photos / "result"
 
 
 @pytest.fixture
-def captured(tmp_path: Path) -> Path:
+def captured(tmp_path):
     """What ``splitknit capture`` leaves: 14 LEDs, ambient images, the session."""
     taken = tmp_path / "real"
     small = ("--scale", "0.1", "--set", "pose.insertion_mm=[26.0, 26.0]")
@@ -55,9 +52,7 @@ def captured(tmp_path: Path) -> Path:
     return taken
 
 
-def test_photographs_and_captures_are_not_read_through_links(
-    photos: Path, captured: Path, capsys
-) -> None:
+def test_photographs_and_captures_are_not_read_through_links(photos, captured, capsys):
     folder = captured.parent / "received"
     shutil.copytree(photos, folder, ignore=shutil.ignore_patterns("result*"))
     words = f"import --images {folder} --out {captured.parent}/out".split()
@@ -79,7 +74,7 @@ def test_photographs_and_captures_are_not_read_through_links(
     assert main(f"import --images {captured.parent}/link --out {captured.parent}/out".split()) == 0
 
 
-def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
+def test_one_command_makes_a_surface_in_pixels(result):
     with np.load(result / "height.npz") as arrays:
         assert {"height_px", "ridge_px", "shape_px", "normals_measured"} <= set(arrays.files)
         assert not [name for name in arrays.files if name.endswith("_mm")]
@@ -125,21 +120,21 @@ def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
         ("--images PHOTOS --rig PHOTOS/lights.txt", "a list of lights with --lights"),
     ],
 )
-def test_refusals(options: str, words: str, photos: Path, tmp_path: Path, capsys) -> None:
+def test_refusals(options, words, photos, tmp_path, capsys):
     command = options.replace("PHOTOS", str(photos)).split()
     assert main(["reconstruct", *command, "--out", str(tmp_path / "out")]) == 2
     assert words.replace("PHOTOS", str(photos)) in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_known_scale_is_not_replaced(photos: Path, tmp_path: Path, capsys) -> None:
+def test_a_known_scale_is_not_replaced(photos, tmp_path, capsys):
     capture = tmp_path / "capture"
     assert main(f"import --images {photos} --px-per-mm 20 --out {capture}".split()) == 0
     assert main(f"reconstruct {capture} --px-per-mm 30 --out {tmp_path}/x".split()) == 2
     assert "has a scale already: 20 px/mm" in capsys.readouterr().err
 
 
-def polarised_photos(photos: Path, root: Path, *, mirrored: int = 3000) -> tuple[Path, Path]:
+def polarised_photos(photos, root, *, mirrored=3000):
     """The ball's photographs as a crossed series, and with light that its surface reflects as a
     parallel one."""
     parallel, crossed = root / "parallel", root / "crossed"
@@ -155,13 +150,11 @@ def polarised_photos(photos: Path, root: Path, *, mirrored: int = 3000) -> tuple
     return parallel, crossed
 
 
-def imported(*arguments: object) -> int:
+def imported(*arguments):
     return main(["import", *map(str, arguments), "--px-per-mm", "10", "--json"])
 
 
-def test_a_crossed_series_is_imported_beside_the_parallel_one(
-    photos: Path, tmp_path: Path, capsys
-) -> None:
+def test_a_crossed_series_is_imported_beside_the_parallel_one(photos, tmp_path, capsys):
     parallel, crossed = polarised_photos(photos, tmp_path)
     assert imported("--images", parallel, "--crossed", crossed, "--out", tmp_path / "c") == 0
     facts = json.loads(capsys.readouterr().out)
@@ -174,7 +167,7 @@ def test_a_crossed_series_is_imported_beside_the_parallel_one(
     assert main(f"reconstruct {tmp_path}/c --preset ea --out {tmp_path}/r".split()) == 0
 
 
-def test_series_in_the_wrong_folders_are_noted(photos: Path, tmp_path: Path, capsys) -> None:
+def test_series_in_the_wrong_folders_are_noted(photos, tmp_path, capsys):
     parallel, crossed = polarised_photos(photos, tmp_path)
     lights = ("--lights", photos / "lights.txt")
     assert (
@@ -183,7 +176,7 @@ def test_series_in_the_wrong_folders_are_noted(photos: Path, tmp_path: Path, cap
     assert "were their folders exchanged" in str(json.loads(capsys.readouterr().out)["notes"])
 
 
-def test_series_that_do_not_fit_are_refused(photos: Path, tmp_path: Path, capsys) -> None:
+def test_series_that_do_not_fit_are_refused(photos, tmp_path, capsys):
     parallel, crossed = polarised_photos(photos, tmp_path)
     Image.fromarray(np.ones((20, 20), np.uint16)).save(tmp_path / "small.png")
     for change, words in (

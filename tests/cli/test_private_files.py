@@ -1,11 +1,8 @@
 """What the command line writes is readable by its owner alone, or by the group where that is asked
 for."""
 
-from __future__ import annotations
-
 import os
 import stat
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +10,7 @@ from splitknit.cli.main import main
 from splitknit.io.atomic import GROUP_READABLE
 
 
-def _modes(folder: Path) -> tuple[set[int], set[int]]:
+def _modes(folder):
     modes = {path: stat.S_IMODE(path.stat().st_mode) for path in folder.rglob("*")}
     return {m for p, m in modes.items() if p.is_file()}, {m for p, m in modes.items() if p.is_dir()}
 
@@ -22,13 +19,7 @@ def _modes(folder: Path) -> tuple[set[int], set[int]]:
 @pytest.mark.parametrize(
     ("option", "modes"), [([], (0o600, 0o700)), (["--group-readable"], (0o640, 0o750))]
 )
-def test_verbs_write_private_files(
-    option: list[str],
-    modes: tuple[int, int],
-    twin_folder: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_verbs_write_private_files(option, modes, twin_folder, tmp_path, capsys):
     out = tmp_path / "out"
     before = os.environ.get(GROUP_READABLE, "")
     umask = os.umask(0)

@@ -102,7 +102,7 @@ def shine(
 
 
 @pytest.fixture(autouse=True)
-def entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
+def entry_points(monkeypatch) -> None:
     """Two verbs of somebody else's, by entry points."""
     points = importlib.metadata.EntryPoints(
         importlib.metadata.EntryPoint(name, "test_verbs:shine", registry.GROUP)
@@ -116,7 +116,7 @@ def entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.metadata, "entry_points", registered)
 
 
-def test_words_become_arguments() -> None:
+def test_words_become_arguments():
     words = (
         "shine a b --out c --colour blue --size 0.5 --seed 0 --no-shadows --scores x y --power 3"
     )
@@ -135,7 +135,7 @@ def test_words_become_arguments() -> None:
     assert (CALLS[-1]["shadows"], CALLS[-1]["memory"]) == (True, None)
 
 
-def test_help_comes_from_signature_and_docstring(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_comes_from_signature_and_docstring(capsys):
     assert main(["shine", "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     for words in (
@@ -169,16 +169,14 @@ def test_help_comes_from_signature_and_docstring(capsys: pytest.CaptureFixture[s
         ("--colou blue", "Unknown option: --colou. Did you mean --colour?"),
     ],
 )
-def test_messages_name_options(
-    words: str, sentence: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_messages_name_options(words, sentence, capsys):
     assert main([*["shine", "a", "--out", "b"], *words.split()]) == 2
     error = capsys.readouterr().err
     assert error.startswith("splitknit: error: ") and error.count("\n") == 1
     assert sentence in error
 
 
-def test_a_verb_of_two_words_and_its_facts(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_verb_of_two_words_and_its_facts(capsys):
     assert main(["light", "shine", "a", "--out", "b"]) == 0
     assert capsys.readouterr().out == "b by --colour\n"
     assert main(["light", "shine", "a", "--out", "b", "--json"]) == 0
@@ -189,7 +187,7 @@ def test_a_verb_of_two_words_and_its_facts(capsys: pytest.CaptureFixture[str]) -
     assert "shine" in capsys.readouterr().err
 
 
-def test_python_has_the_same_checks() -> None:
+def test_python_has_the_same_checks():
     assert shine(["a"], out=Path("b"), size=1.0) == Lit("b", 3, "`seed`")
     for wrong, sentence in (
         ({"size": 2.0}, "`size` must be from 0 to 1"),
@@ -199,9 +197,7 @@ def test_python_has_the_same_checks() -> None:
             shine(["a"], out="b", **wrong)  # type: ignore[arg-type]
 
 
-def test_a_member_that_is_missing_is_one_sentence(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_member_that_is_missing_is_one_sentence(monkeypatch, capsys):
     assert main(["--help"]) == 0
     before = capsys.readouterr().out
     monkeypatch.setitem(registry.VERBS, "match", ("no-such-member", registry.VERBS["match"][1]))
@@ -217,7 +213,7 @@ def test_a_member_that_is_missing_is_one_sentence(
     assert capsys.readouterr().out == before
 
 
-def test_the_table_and_the_functions_say_the_same() -> None:
+def test_the_table_and_the_functions_say_the_same():
     app = build_app()
     for name, (_, line) in registry.VERBS.items():
         if app[name].default_command is not None:
@@ -225,7 +221,7 @@ def test_the_table_and_the_functions_say_the_same() -> None:
             assert words.lower() == line.lower(), name
 
 
-def test_steps_are_kept_where_a_preset_has_them(twin_folder: Path, tmp_path: Path) -> None:
+def test_steps_are_kept_where_a_preset_has_them(twin_folder, tmp_path):
     out = tmp_path / "result"
     options = ["--out", str(out), "--keep-steps"]
     assert main([*f"reconstruct {twin_folder} --preset snk".split(), *options]) == 0
@@ -250,15 +246,13 @@ def test_steps_are_kept_where_a_preset_has_them(twin_folder: Path, tmp_path: Pat
     assert not (out / "steps").exists()
 
 
-def test_snk_takes_a_network_file_by_its_path(
-    twin_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_snk_takes_a_network_file_by_its_path(twin_folder, tmp_path, capsys):
     shipped = resources.files("splitknit.networks") / "shipped"
     mine = tmp_path / "mine.onnx"
     for file in (mine, mine.with_suffix(".json")):
         file.write_bytes((shipped / f"direct{file.suffix}").read_bytes())
 
-    def heights(name: str, *changes: str) -> NDArray[np.float32]:
+    def heights(name, *changes):
         options = ["--preset", "snk", *changes, "--out", str(tmp_path / name)]
         assert main(["reconstruct", str(twin_folder), *options]) == 0
         return read_result(tmp_path / name).height_mm

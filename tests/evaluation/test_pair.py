@@ -1,18 +1,15 @@
 """Two measurements of one surface: a ridged cylinder in closed form, laid down in two poses."""
 
-from __future__ import annotations
-
 import json
 import stat
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_arrays
 from splitknit.reconstruction import Reconstruction
@@ -23,16 +20,16 @@ MAIN = "0 to 40"
 
 
 def laid_down(
-    roll: float = 0.0,
-    yaw: float = 0.0,
-    moved: tuple[float, float] = (0.0, 0.0),
+    roll=0.0,
+    yaw=0.0,
+    moved=(0.0, 0.0),
     *,
-    um: float = 30.0,
-    whorl: float = 1.0,
-    stretched: float = 0.0,
-    near_mm: float = 0.0,
-    half_mm: float = 5.6,
-) -> Reconstruction:
+    um=30.0,
+    whorl=1.0,
+    stretched=0.0,
+    near_mm=0.0,
+    half_mm=5.6,
+):
     """The cylinder with concentric ridges, rolled and turned (rad) and moved (mm)."""
     x, y = np.meshgrid(
         np.arange(-half_mm - 0.4, half_mm + 0.4, PITCH), np.arange(7.0, -7.0, -PITCH)
@@ -77,11 +74,11 @@ def laid_down(
     )
 
 
-POSE: dict[str, Any] = {"roll": 0.12, "yaw": 0.08, "moved": (0.6, -0.4)}
+POSE = {"roll": 0.12, "yaw": 0.08, "moved": (0.6, -0.4)}
 
 
 @pytest.mark.slow
-def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported() -> None:
+def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported():
     a, b = laid_down(), laid_down(**POSE, um=25.0)
     comparison = compare_results(a, b)
     assert np.rad2deg(np.arccos((np.trace(comparison.rotation) - 1) / 2)) == pytest.approx(
@@ -101,13 +98,13 @@ def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported() -> Non
 
 
 @pytest.mark.parametrize("fit", ["rigid", "elastic"])
-def test_a_surface_differs_from_itself_by_nothing(fit: Any) -> None:
+def test_a_surface_differs_from_itself_by_nothing(fit):
     comparison = compare_results(laid_down(), laid_down(), fit=fit)
     assert comparison.figures["relief"][MAIN]["rms_um"]["value"] < 0.1
     assert "same measurement, to the last digit" in str(comparison.findings[0])
 
 
-def test_a_perspective_camera_sees_the_same_surface() -> None:
+def test_a_perspective_camera_sees_the_same_surface():
     """Its pixels lie up to 0.1 mm beside those of parallel rays (ridges in between follow the
     smooth body's depth)."""
     figures = compare_results(laid_down(), laid_down(near_mm=60.0)).figures
@@ -116,7 +113,7 @@ def test_a_perspective_camera_sees_the_same_surface() -> None:
 
 
 @pytest.mark.slow
-def test_what_lies_steeper_than_60_deg_is_not_compared() -> None:
+def test_what_lies_steeper_than_60_deg_is_not_compared():
     true = laid_down(half_mm=7.5)
     x = np.arange(-7.9, 7.9, PITCH)
     beyond = np.maximum(np.rad2deg(np.arcsin(np.clip(np.abs(x) / RADIUS_MM, 0, 0.95))) - 61.0, 0.0)
@@ -126,7 +123,7 @@ def test_what_lies_steeper_than_60_deg_is_not_compared() -> None:
 
 
 @pytest.mark.slow
-def test_skin_that_has_shifted_is_followed_by_the_elastic_fit() -> None:
+def test_skin_that_has_shifted_is_followed_by_the_elastic_fit():
     a, b = laid_down(), laid_down(**POSE, stretched=0.03)
     stiff, soft = compare_results(a, b), compare_results(a, b, fit="elastic")
     rms = [
@@ -138,17 +135,15 @@ def test_skin_that_has_shifted_is_followed_by_the_elastic_fit() -> None:
     assert "above 8 mm" not in soft.figures
 
 
-def test_other_ridges_and_unknown_scales_are_refused() -> None:
-    with pytest.raises(BadInput, match="not the same"):
+def test_other_ridges_and_unknown_scales_are_refused():
+    with bad_input("not the same"):
         compare_results(laid_down(), laid_down(whorl=-1.5))
-    with pytest.raises(BadInput, match="scale"):
+    with bad_input("scale"):
         compare_results(laid_down(), replace(laid_down(), scale_known=False))
 
 
 @pytest.mark.slow
-def test_the_verb_writes_a_private_report_and_states_the_protocols_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_verb_writes_a_private_report_and_states_the_protocols_error(tmp_path, capsys):
     for name, result in {"a": laid_down(), "b": laid_down(**POSE)}.items():
         write_arrays(tmp_path / f"{name}.npz", result, provenance())
     a, b, out = str(tmp_path / "a.npz"), str(tmp_path / "b.npz"), tmp_path / "r"
@@ -179,7 +174,7 @@ def test_the_verb_writes_a_private_report_and_states_the_protocols_error(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_the_stated_errors_are_those_of_the_study() -> None:
+def test_the_stated_errors_are_those_of_the_study():
     study = json.loads((Path(__file__).parents[2] / "validation/pair/results.json").read_text())
     names = {"gel": "gel", "cast": "cast, elastic"} | {
         f"powder-{um}": f"powder {um} um" for um in (5, 10, 20)

@@ -1,7 +1,5 @@
 """OpenCV's calibration photographs: corners, matrix and errors as its own files have them."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,10 +1,6 @@
 """Lights of others' data, given in each of eight frames: the frame is named, and the right one
 never doubted."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -17,7 +13,7 @@ pytestmark = pytest.mark.external
 SETS = ("bear", "ball", "phalange")
 
 
-def images_of(data_dir: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def images_of(data_dir, name):
     """Stack, lights and mask."""
     if name == "bear":
         with np.load(data_dir / "diligent" / "bear.npz") as data:

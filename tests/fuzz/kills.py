@@ -23,7 +23,6 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -90,9 +89,7 @@ PARTS = ("simulate-population", "batch", "demo")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
-def forked(
-    words: Sequence[str], log: Path, stop: Callable[[int], object] = lambda child: None
-) -> int:
+def forked(words, log, stop=lambda child: None):
     """Run a command in a fork, which has all modules already; its exit code, negative where a
     signal ended it."""
     child = os.fork()
@@ -112,20 +109,20 @@ def forked(
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-def command(name: str, base: Path, out: Path, gallery: Path, port: int) -> list[str]:
+def command(name, base, out, gallery, port):
     """The words of a verb, its gallery a fresh one."""
     shutil.copyfile(base / "people.skg", gallery)
     return VERBS[name].format(out=out, base=base, gallery=gallery, port=port).split()
 
 
-def free_port() -> int:
+def free_port():
     """A port of this machine at which nothing listens."""
     with socket.socket() as place:
         place.bind(("127.0.0.1", 0))
         return int(place.getsockname()[1])
 
 
-def served(child: int, port: int, base: Path, number: int, seconds: float | None) -> bool:
+def served(child, port, base, number, seconds):
     """Enrol C over HTTP and stop the service after some time or its answer; whether it answered."""
     fields = {"person": "C", "finger": "right_index", "print": (base / "print").read_text()}
     service = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
@@ -155,20 +152,20 @@ def served(child: int, port: int, base: Path, number: int, seconds: float | None
         service.close()
 
 
-def contents(place: Path) -> dict[str, bytes]:
+def contents(place):
     """A file, or the files of a folder by name, but for what lies in temporary folders."""
     files = [place] if place.is_file() else [file for file in place.rglob("*") if file.is_file()]
     names = {file.relative_to(place).as_posix(): file for file in files}
     return {name: file.read_bytes() for name, file in names.items() if ".splitknit-" not in name}
 
 
-def people(gallery: Path) -> frozenset[str]:
+def people(gallery):
     """Who is in a gallery that is sound."""
     with GalleryFile(gallery) as opened:
         return frozenset(entry.person for entry in opened.people().entries.values())
 
 
-def left_in(tree: Path) -> list[str]:
+def left_in(tree):
     """Temporary folders and journals."""
     return [
         str(path)
@@ -177,7 +174,7 @@ def left_in(tree: Path) -> list[str]:
     ]
 
 
-def prepared(base: Path) -> None:
+def prepared(base):
     """What the verbs read."""
     for words in (
         "simulate --out {0}/capture --seed 3 --scale 0.12",
@@ -206,9 +203,7 @@ def prepared(base: Path) -> None:
     )
 
 
-def stopped_once(
-    name: str, base: Path, tree: Path, seconds: float, draw: random.Random
-) -> list[str]:
+def stopped_once(name, base, tree, seconds, draw):
     """Stop one run of a verb; what is wrong afterwards."""
     out, gallery, number = tree / "out", tree / "people.skg", draw.choice(SIGNALS)
     port, asked = free_port(), list[bool]()
@@ -221,14 +216,14 @@ def stopped_once(
     after = {"gallery-remove": {"B"}, "enroll": {"A", "B", "C"}, "serve": {"A", "B", "C"}}
     possible = [{"A", "B"}, after.get(name, {"A", "B"})]
 
-    def stop(child: int) -> None:
+    def stop(child):
         if name == "serve":
             asked.append(served(child, port, base, number, draw.uniform(0.0, 1.05 * seconds)))
         else:
             time.sleep(draw.uniform(0.0, 1.05 * seconds))
             os.kill(child, number)
 
-    def wrong(when: str) -> list[str]:
+    def wrong(when):
         faults, there = [], contents(out)
         whole = there == before or set(there) == names
         if MANIFEST in there and there != before:
@@ -258,7 +253,7 @@ def stopped_once(
     return [*faults, *wrong("after the next run")]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments=None):
     """Stop every verb again and again; the number of findings as exit code, at most 1."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=4, help="of every verb")

@@ -18,7 +18,7 @@ import struct
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -141,7 +141,7 @@ texts = st.sampled_from(TEXTS) | st.binary(max_size=40)
 
 
 @st.composite
-def inputs(draw: Draw, samples: list[Files], repair: Callable[[Files], Files] | None) -> Files:
+def inputs(draw, samples, repair):
     """One of the sound samples with one to four changes; checksums fit again in half of the
     cases."""
     result = dict(draw(st.sampled_from(samples)))
@@ -167,7 +167,7 @@ def inputs(draw: Draw, samples: list[Files], repair: Callable[[Files], Files] | 
     return result
 
 
-def changed(draw: Draw, data: bytes, pool: list[Any]) -> bytes:
+def changed(draw, data, pool):
     """Changed bytes of one file; by its format in two of three cases, where that is known."""
     if draw(st.sampled_from((True, True, False))):
         for is_one, change in FORMATS:
@@ -204,7 +204,7 @@ ACTIONS = (
 ACTIONS += ("splice",)
 
 
-def any_bytes(draw: Draw, data: bytes, pool: list[Any] | None = None) -> bytes:
+def any_bytes(draw, data, pool=None):
     """Other bytes in place of some: fewer, more, doubled, one bit flipped, a number, a text, or
     another file's end."""
     reach = draw(st.sampled_from((len(data), len(data), 64, 300)))  # headers are at the beginning
@@ -253,7 +253,7 @@ def any_bytes(draw: Draw, data: bytes, pool: list[Any] | None = None) -> bytes:
 # ------------------------------------------------------------------------------------------------
 
 
-def _paths(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def _paths(node, path=()):
     yield path
     children = (
         node.items()
@@ -266,13 +266,13 @@ def _paths(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
         yield from _paths(child, (*path, key))
 
 
-def _at(root: Any, path: tuple[Any, ...]) -> Any:
+def _at(root, path):
     for key in path:
         root = root[key]
     return root
 
 
-def _json(draw: Draw, data: bytes) -> bytes:
+def _json(draw, data):
     """Replace, remove, double, scale or rename a value of a JSON document, or write it as no writer
     would."""
     if draw(st.integers(0, 3)) == 0:
@@ -309,7 +309,7 @@ def _json(draw: Draw, data: bytes) -> bytes:
     return json.dumps(root.get("root"), indent=draw(st.sampled_from((None, 1)))).encode()
 
 
-def _json_text(draw: Draw, text: str) -> bytes:
+def _json_text(draw, text):
     key = draw(st.sampled_from(re.findall(r'"\w+":', text) or ['"x":']))
     deep = draw(st.sampled_from([100, 600, 1000, 10_000, 100_000]))
     words = (
@@ -341,7 +341,7 @@ def _json_text(draw: Draw, text: str) -> bytes:
     return document.encode("utf-8", "surrogatepass")
 
 
-def _table(draw: Draw, data: bytes) -> bytes:
+def _table(draw, data):
     """Change lines and cells of a table, or of settings."""
     lines = data.split(b"\n")
     k, j = (draw(st.integers(0, len(lines) - 1)) for _ in range(2))
@@ -403,7 +403,7 @@ TIFF_TAGS = (
 )
 
 
-def _png(draw: Draw, data: bytes) -> bytes:
+def _png(draw, data):
     """Change chunks and let their checksums fit."""
     chunks, place = [], 8
     while place + 12 <= len(data):
@@ -443,7 +443,7 @@ def _png(draw: Draw, data: bytes) -> bytes:
     return PNG + b"".join(chunk(*part) for part in chunks)
 
 
-def _tiff(draw: Draw, data: bytes) -> bytes:
+def _tiff(draw, data):
     """Change an entry of the first directory."""
     order = "<" if data[:2] == b"II" else ">"
     (place,) = struct.unpack_from(order + "I", data, 4)
@@ -458,7 +458,7 @@ def _tiff(draw: Draw, data: bytes) -> bytes:
     return data[:at] + struct.pack(order + "HHII", *entry) + data[at + 12 :]
 
 
-def _zip(draw: Draw, data: bytes) -> bytes:
+def _zip(draw, data):
     """Write an archive anew with a member changed, missing, doubled, renamed, enormous or of a
     false size."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -502,13 +502,13 @@ def _zip(draw: Draw, data: bytes) -> bytes:
     return bytes(archived)
 
 
-def _header(shape: tuple[int, ...], kind: str, by_columns: bool = False) -> bytes:
+def _header(shape, kind, by_columns=False):
     text = f"{{'descr': '{kind}', 'fortran_order': {by_columns}, 'shape': {shape}, }}".encode()
     text += b" " * (-(len(text) + 11) % 64) + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
 
 
-def _npy(draw: Draw, data: bytes) -> bytes:
+def _npy(draw, data):
     """Change the header of an array, or its values."""
     stream = io.BytesIO(data)
     np.lib.format.read_magic(stream)
@@ -555,7 +555,7 @@ def _npy(draw: Draw, data: bytes) -> bytes:
     return _header(shape, kind, by_columns) + body
 
 
-def _sqlite(draw: Draw, data: bytes) -> bytes:
+def _sqlite(draw, data):
     """Change cells, rows, tables or the numbers in the header."""
     with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as database:
         database.deserialize(data)

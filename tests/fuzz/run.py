@@ -33,13 +33,11 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 from tests.fuzz import PACKAGES
-from tests.fuzz.mutators import Files, inputs
+from tests.fuzz.mutators import inputs
 from tests.fuzz.targets import TARGETS, Target, check_refusal, put
 
 from splitknit.errors import BadInput
@@ -78,21 +76,21 @@ Task = tuple[Target, int, int]
 # ------------------------------------------------------------------------------------------------
 
 
-def _memory_mb(key: bytes) -> float:
+def _memory_mb(key):
     with open("/proc/self/status", "rb") as stream:  # noqa: PTH123 - read for every input
         return int(next(line for line in stream if line.startswith(key)).split()[1]) / 1024
 
 
-def _processor_s() -> float:
+def _processor_s():
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
-def _listed(folder: Path) -> set[str]:
+def _listed(folder):
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
 
 
-def judge(target: Target, files: Files, folder: Path, output: int) -> str:
+def judge(target, files, folder, output):
     """Read one input; return ``accepted`` or ``refused``, or fail. What failed stays in
     `folder`."""
     shutil.rmtree(folder, ignore_errors=True)
@@ -128,7 +126,7 @@ def judge(target: Target, files: Files, folder: Path, output: int) -> str:
     return verdict
 
 
-def _work(task: Task, samples: list[Files], scratch: Path, output: int) -> Counter[str]:
+def _work(task, samples, scratch, output):
     """Read the block's inputs; return how many were accepted and refused."""
     target, number, count = task
     os.dup2(output, 1)
@@ -154,14 +152,14 @@ def _work(task: Task, samples: list[Files], scratch: Path, output: int) -> Count
         suppress_health_check=list(HealthCheck),
     )
     @given(inputs(samples, target.repair))
-    def each(files: Files) -> None:
+    def each(files):
         tally[judge(target, files, scratch / "input", output)] += 1
 
     each()
     return tally
 
 
-def in_child(work: Callable[[], Any], out: Path, output: int) -> int:
+def in_child(work, out, output):
     """Do some work in a process of its own, which leaves its result, or what went wrong, in
     files."""
     pid = os.fork()
@@ -180,7 +178,7 @@ def in_child(work: Callable[[], Any], out: Path, output: int) -> int:
 # -----------------------------------------------------------
 
 
-def public_readers() -> dict[tuple[str, str], str]:
+def public_readers():
     """File and name of every public function of the members that is named as a reader, and its
     dotted name."""
     functions = {}
@@ -192,11 +190,11 @@ def public_readers() -> dict[tuple[str, str], str]:
     return functions
 
 
-def look(scratch: Path, chosen: list[Target]) -> tuple[dict[str, list[Files]], list[str]]:
+def look(scratch, chosen):
     """Sound samples by target, and what is wrong with them or with the list of targets."""
     called: set[tuple[str, str]] = set()
 
-    def note(frame: Any, event: str, _: Any) -> None:
+    def note(frame, event, _):
         if event == "call":
             called.add((frame.f_code.co_filename, frame.f_code.co_name))
 
@@ -232,7 +230,7 @@ def look(scratch: Path, chosen: list[Target]) -> tuple[dict[str, list[Files]], l
 # --------------------------------------------------------------------------------------------------
 
 
-def _tasks(chosen: list[Target], each: int, until: float | None, first: int) -> Iterator[Task]:
+def _tasks(chosen, each, until, first):
     """Blocks of all targets by turns, so that a run that is stopped has seen all of them."""
     for number in range(first, 1 << 62):
         left = BLOCK if until is not None else min(BLOCK, each - (number - first) * BLOCK)
@@ -241,9 +239,7 @@ def _tasks(chosen: list[Target], each: int, until: float | None, first: int) -> 
         yield from ((target, number, left) for target in chosen)
 
 
-def run(
-    tasks: Iterator[Task], samples: dict[str, list[Files]], scratch: Path, keep: Path, jobs: int
-) -> dict[str, Any]:
+def run(tasks, samples, scratch, keep, jobs):
     """Do all tasks; return what became of each target's inputs, and the findings."""
     tallies: dict[str, Counter[str]] = {name: Counter() for name in samples}
     findings: list[str] = []
@@ -280,11 +276,11 @@ def run(
         shutil.rmtree(place)
 
 
-def _barren(tally: Counter[str]) -> bool:
+def _barren(tally):
     return tally["accepted"] == 0 and tally["refused"] >= MIN_REFUSED
 
 
-def _no_files(folder: str, names: list[str]) -> list[str]:
+def _no_files(folder, names):
     """Pipes cannot be copied, and what is enormous holds nothing."""
     paths = {name: Path(folder) / name for name in names}
     return [
@@ -294,7 +290,7 @@ def _no_files(folder: str, names: list[str]) -> list[str]:
     ]
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments=None):
     """Run from the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.fuzz.run", description=(__doc__ or "").splitlines()[0]

@@ -83,11 +83,7 @@ from splitknit_match.prints.from_file import (
     read_print_file,
     read_print_folder,
 )
-from splitknit_match.prints.minutiae_record import (
-    Minutiae,
-    pack_minutiae,
-    unpack_minutiae,
-)
+from splitknit_match.prints.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit_match.prints.sources import read_source
 from splitknit_match.records.finger_image import encode_finger_image
 from splitknit_match.records.iso39794 import encode_finger_image_block
@@ -119,17 +115,17 @@ class Target:
     """Makes checksums fit again."""
 
 
-def _of_files(name: str, *readers: Callable[[Any], object]) -> Callable[[Path, Files], object]:
+def _of_files(name, *readers):
     """Each of several readers of one file gets a chance; the last refusal stands if all refuse."""
 
-    def read(folder: Path, files: Files) -> object:
+    def read(folder, files):
         return _any(*(lambda reader=reader: reader(folder / name) for reader in readers))
 
     return read
 
 
-def _of_bytes(*readers: Callable[[bytes], object]) -> Callable[[Path, Files], object]:
-    def read(folder: Path, files: Files) -> object:
+def _of_bytes(*readers):
+    def read(folder, files):
         data = files.get("bytes")
         if not isinstance(data, bytes):
             return None
@@ -138,7 +134,7 @@ def _of_bytes(*readers: Callable[[bytes], object]) -> Callable[[Path, Files], ob
     return read
 
 
-def _any(*readers: Callable[[], object]) -> object:
+def _any(*readers):
     taken, refusal = [], None
     for reader in readers:
         try:
@@ -151,7 +147,7 @@ def _any(*readers: Callable[[], object]) -> object:
     return taken
 
 
-def check_refusal(error: BadInput) -> None:
+def check_refusal(error):
     """A refusal is one printable sentence."""
     text = str(error)
     assert text.strip(), "the refusal is empty"
@@ -160,11 +156,11 @@ def check_refusal(error: BadInput) -> None:
     assert len(text) < 3000, f"the refusal has {len(text)} characters"
 
 
-def _each(name: str, *contents: bytes) -> list[Files]:
+def _each(name, *contents):
     return [{name: content} for content in contents]
 
 
-def _written(name: str, *writers: Callable[[Path], object]) -> list[Files]:
+def _written(name, *writers):
     """What writers of a file make."""
     with tempfile.TemporaryDirectory() as scratch:
         files = []
@@ -174,7 +170,7 @@ def _written(name: str, *writers: Callable[[Path], object]) -> list[Files]:
     return files
 
 
-def _folder(make: Callable[[Path], object]) -> Files:
+def _folder(make):
     """All files that `make` leaves in a folder."""
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch) / "made"
@@ -183,7 +179,7 @@ def _folder(make: Callable[[Path], object]) -> Files:
         return {file.relative_to(root).as_posix(): file.read_bytes() for file in files}
 
 
-def _noise(*shape: int, kind: Any = np.uint8, seed: int = 4) -> Any:
+def _noise(*shape, kind=np.uint8, seed=4):
     return np.random.default_rng(seed).integers(0, np.iinfo(kind).max, shape).astype(kind)
 
 
@@ -192,7 +188,7 @@ def _noise(*shape: int, kind: Any = np.uint8, seed: int = 4) -> Any:
 
 
 @cache
-def _images() -> list[Files]:
+def _images():
     import tifffile
 
     random = Random(1)
@@ -250,7 +246,7 @@ def _images() -> list[Files]:
     return [{"image": data} for data in (*pngs, *tiffs, *jpegs) if _decodes(data)]
 
 
-def _decodes(data: bytes) -> bool:
+def _decodes(data):
     try:
         decode_image(data, "x")
     except BadInput:  # kinds that this software does not read serve as bytes to splice nowhere
@@ -258,7 +254,7 @@ def _decodes(data: bytes) -> bool:
     return True
 
 
-def _pixels(path: Path) -> None:
+def _pixels(path):
     image = read_image(path)
     assert image.ndim == 3
     assert image.shape[2] in (1, 3)
@@ -267,7 +263,7 @@ def _pixels(path: Path) -> None:
 
 
 @cache
-def _photographs() -> list[Files]:
+def _photographs():
     """RAW files are left out: LibRaw prints a line of its own on stderr where one is damaged."""
     from PIL import Image
 
@@ -292,7 +288,7 @@ def _photographs() -> list[Files]:
     return files
 
 
-def _normal_maps() -> list[Files]:
+def _normal_maps():
     y, x = np.mgrid[0.7:-0.7:24j, -0.7:0.7:24j]
     units = np.dstack([x, y, np.sqrt(1 - x**2 - y**2)]).astype(np.float32)
     stored = np.rint(32767.5 * (units + 1)).astype(np.uint16)
@@ -302,7 +298,7 @@ def _normal_maps() -> list[Files]:
     return [*maps, {"map.png": pngs[0]}, {"mask.png": pngs[1]}]
 
 
-def _normal_map(folder: Path, files: Files) -> None:
+def _normal_map(folder, files):
     for name in files:
         if name == "mask.png":
             read_mask(folder / name, (24, 24))
@@ -310,14 +306,14 @@ def _normal_map(folder: Path, files: Files) -> None:
             read_normal_map(folder / name)
 
 
-def _photograph(folder: Path, files: Files) -> None:
+def _photograph(folder, files):
     for name in files:
         pixels = read_photo(folder / name).pixels
         assert pixels.ndim == 3 and pixels.shape[2] in (1, 3)
         assert pixels.dtype in (np.uint8, np.uint16, np.float32)
 
 
-def _fingerphotos() -> list[Files]:
+def _fingerphotos():
     from PIL import Image
 
     row, column = np.mgrid[:260:0.5, :230:0.5]
@@ -330,17 +326,17 @@ def _fingerphotos() -> list[Files]:
 
 
 @cache
-def _pressed() -> bytes:
+def _pressed():
     """Template of a print."""
     return template_of(Pixels(_print(), 500.0)).payload or b""
 
 
-def _matched(folder: Path, files: Files) -> object:
+def _matched(folder, files):
     """A whole comparison, of a photograph without a scale."""
     return match(folder / "x.jpg", _pressed(), method="ridge")
 
 
-def _print() -> Any:
+def _print():
     rows, columns = np.mgrid[:120, :100]
     return (127 + 120 * np.sin(0.7 * np.hypot(rows - 70, 1.2 * columns - 50))).astype(np.uint8)
 
@@ -350,7 +346,7 @@ def _print() -> Any:
 
 
 @cache
-def _captures() -> list[Files]:
+def _captures():
     pixels = _noise(6, 7, 9, 3)
     angles = (0, 2, 4)
     near = [
@@ -396,7 +392,7 @@ def _captures() -> list[Files]:
     ]
 
 
-def _capture(folder: Path, files: Files) -> None:
+def _capture(folder, files):
     capture = read_capture(folder)
     vectors = capture.rig.light_vectors() if capture.rig.leds else np.zeros(1)
     assert np.isfinite(vectors).all()
@@ -407,7 +403,7 @@ def _capture(folder: Path, files: Files) -> None:
         read_truth(capture)
 
 
-def _plain_images() -> list[Files]:
+def _plain_images():
     lights = b"3\n0.5 0 1\n-0.3 0.4 1\n-0.3 -0.4 1\n"
     named = b"".join(b"%d.png %s" % (k, line) for k, line in enumerate(lights.splitlines(True)[1:]))
     photos = {f"{k}.png": encode_image(_noise(16, 17, seed=k), ".png") for k in range(3)}
@@ -415,7 +411,7 @@ def _plain_images() -> list[Files]:
     return [{"lights.txt": lights, **photos}, {"lights.txt": named, **photos, "mask.png": mask}]
 
 
-def _plain_capture(folder: Path, files: Files) -> None:
+def _plain_capture(folder, files):
     lights = read_light_list(folder / "lights.txt").lights
     assert lights.ndim == 2
     assert lights.shape[1] == 3
@@ -426,7 +422,7 @@ def _plain_capture(folder: Path, files: Files) -> None:
     read_photographs(folder)
 
 
-def _balls() -> list[Files]:
+def _balls():
     """Five photographs of a ball of 40 pixels, near enough sRGB."""
     y, x = np.mgrid[20:-20:-1, -20:20] / 17.0
     inside, z = x**2 + y**2 < 1, np.sqrt(np.clip(1 - x**2 - y**2, 0, 1))
@@ -448,19 +444,19 @@ def _balls() -> list[Files]:
     return [{"lights.txt": rows, "mask.png": mask, **photos}, {"lights.txt": rows, **photos}]
 
 
-def _object(folder: Path, files: Files) -> None:
+def _object(folder, files):
     result = reconstruct(read_photographs(folder, folder / "lights.txt"), "metric")
     assert np.isfinite(result.height_mm[result.mask]).all()
 
 
-def _flat_images() -> list[Files]:
+def _flat_images():
     return [
         {f"flat/{k}.png": encode_image(_noise(16, 17, seed=k) // 2 + 90, ".png") for k in range(3)}
     ]
 
 
 @cache
-def _arrays() -> dict[str, Any]:
+def _arrays():
     result, _ = finger(px_per_mm=4.0, size=(80, 110))
     names = (
         "height_mm",
@@ -475,13 +471,13 @@ def _arrays() -> dict[str, Any]:
     return {name: np.asarray(getattr(result, name)) for name in names}
 
 
-def _npz(arrays: dict[str, Any]) -> list[Files]:
+def _npz(arrays):
     return _written(
         "height.npz", lambda path: write_npz(path, arrays), lambda path: np.savez(path, **arrays)
     )
 
 
-def _results() -> list[Files]:
+def _results():
     return _npz(_arrays())
 
 
@@ -503,7 +499,7 @@ _REPORT = (
 )
 
 
-def _result(folder: Path, files: Files) -> object:
+def _result(folder, files):
     path = folder / "height.npz"
     return _any(
         lambda: read_matched(path),
@@ -517,17 +513,17 @@ def _result(folder: Path, files: Files) -> object:
 # ----------------------------------------------------------------------------------
 
 
-def _templates() -> list[Files]:
+def _templates():
     small = pack(Template(_noise(60, 50) % 4, np.ones((60, 50), bool), 0.1))
     return _each(
         "x.skt", *(encode_template(payload, VERSION) for payload in (waves("S01", 1), small))
     )
 
 
-def _skt_repaired(files: Files) -> Files:
+def _skt_repaired(files):
     """Size and hash of the payload that there is."""
 
-    def repaired(data: bytes) -> bytes:
+    def repaired(data):
         head = len(encode_template(b"x", VERSION)) - 1
         payload = data[head:]
         return (
@@ -544,7 +540,7 @@ def _skt_repaired(files: Files) -> Files:
     }
 
 
-def _packed() -> list[Files]:
+def _packed():
     many = np.random.default_rng(1)
     flat = Minutiae(
         many.integers(0, 99, 7).astype(np.int32),
@@ -557,7 +553,7 @@ def _packed() -> list[Files]:
     return _each("bytes", pack_minutiae(flat))
 
 
-def _packed_repaired(files: Files) -> Files:
+def _packed_repaired(files):
     """The checksum is the last of the head."""
     data = files.get("bytes")
     if not isinstance(data, bytes):
@@ -566,7 +562,7 @@ def _packed_repaired(files: Files) -> Files:
     return {"bytes": data[:13].ljust(13, b"\0") + struct.pack("<I", zlib.crc32(body)) + body}
 
 
-def _record(folder: Path, files: Files) -> object:
+def _record(folder, files):
     path = folder / "x.fmr"
     data = files.get("x.fmr")
     if not isinstance(data, bytes):
@@ -574,7 +570,7 @@ def _record(folder: Path, files: Files) -> object:
     return _any(lambda: read_minutiae_record(path), lambda: decode_minutiae_record(data))
 
 
-def _transactions() -> list[Files]:
+def _transactions():
     small, large = _noise(11, 13), _print()
     return _each(
         "x.eft",
@@ -592,7 +588,7 @@ SCORES = b"""label,score,finger_a,finger_b,subject_a,subject_b,session_a,session
 """
 
 
-def _scores(folder: Path, files: Files) -> None:
+def _scores(folder, files):
     read_scores(folder / "scores.csv", dissimilarity=True)
 
 
@@ -600,13 +596,13 @@ def _scores(folder: Path, files: Files) -> None:
 # ------------------------------------------------------------------------------------
 
 
-def _settings(name: str) -> Callable[[Path, Files], object]:
+def _settings(name):
     return lambda folder, files: override(
         preset_settings("metric"), read_changes([("--settings", str(folder / name))])
     )
 
 
-def _assignments(folder: Path, files: Files) -> None:
+def _assignments(folder, files):
     lines = files.get("set")
     for line in (lines if isinstance(lines, bytes) else b"").decode("utf-8", "replace").split("\n"):
         parse_assignment(line)
@@ -631,7 +627,7 @@ coarse_steps = 5
 _SET = b"knit.method=crossover\nmetric.rounds=2\nmetric.coarse_steps=5\nlights.balance=true"
 
 
-def _networks() -> list[Files]:
+def _networks():
     return [
         {
             "x.onnx": TINY_NETWORK.read_bytes(),
@@ -640,7 +636,7 @@ def _networks() -> list[Files]:
     ]
 
 
-def _network_repaired(files: Files) -> Files:
+def _network_repaired(files):
     """The card of the weights that there are."""
     weights, card = files.get("x.onnx"), files.get("x.json")
     try:
@@ -651,7 +647,7 @@ def _network_repaired(files: Files) -> Files:
     return {**files, "x.json": json.dumps(document).encode()}
 
 
-def _keys(folder: Path, files: Files) -> object:
+def _keys(folder, files):
     return key_of(folder / "key")
 
 
@@ -659,13 +655,13 @@ def _keys(folder: Path, files: Files) -> object:
 # ------------------------------------------------------------------------------------------------
 
 
-def _new(person: str, seed: int, session: str = "1") -> NewCapture:
+def _new(person, seed, session="1"):
     template = make_template(ridge_band(_relief(seed), np.ones((90, 80), bool), 0.1))
     entry = Entry(person, "right_index", session, "result", f"{seed:064x}", area_mm2=70.0)
     return NewCapture(entry, pack(template))
 
 
-def _relief(seed: int) -> Any:
+def _relief(seed):
     row, column = np.mgrid[:90, :80] * 0.1
     return np.sin(
         14 * (np.cos(seed) * column + np.sin(seed) * row) + np.hypot(row - 4, column - 4)
@@ -673,7 +669,7 @@ def _relief(seed: int) -> Any:
 
 
 @cache
-def _gallery() -> bytes:
+def _gallery():
     from splitknit_match.gallery.identify import TEMPLATES_HASH
 
     with tempfile.TemporaryDirectory() as scratch:
@@ -684,44 +680,44 @@ def _gallery() -> bytes:
         return path.read_bytes()
 
 
-def _opened(folder: Path, files: Files) -> object:
+def _opened(folder, files):
     path = folder / "x.skg"
 
-    def contents() -> None:
+    def contents():
         with GalleryFile(path) as gallery:
             gallery.people()
 
     return _any(contents, lambda: gallery_scores(path))
 
 
-def _galleries() -> list[Files]:
+def _galleries():
     probe = encode_template(_new("x", 1).template, VERSION)
     return [{"x.skg": _gallery(), "x.skt": probe}]
 
 
-def _identified(folder: Path, files: Files) -> object:
+def _identified(folder, files):
     return identify(folder / "x.skg", folder / "x.skt")
 
 
-def _candidates() -> list[Files]:
+def _candidates():
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "x.skg"
         Candidates({"a": _new("x", 1).template, "b": _new("x", 2).template}).save(path)
         return [{"x.skg": path.read_bytes()}]
 
 
-def _loaded(folder: Path, files: Files) -> None:
+def _loaded(folder, files):
     Candidates.load(folder / "x.skg").prepare()
 
 
-def _exports() -> list[Files]:
+def _exports():
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "x.skg"
         path.write_bytes(_gallery())
         return [_folder(lambda to: export_gallery(GalleryFile(path), to))]
 
 
-def _imported(folder: Path, files: Files) -> None:
+def _imported(folder, files):
     with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
         path = Path(scratch) / "x.skg"
         try:
@@ -737,7 +733,7 @@ def _imported(folder: Path, files: Files) -> None:
 # -----------------------------------------------------------------------
 
 
-def _enrolment(folder: Path) -> None:
+def _enrolment(folder):
     enrolment = open_enrolment(folder, subjects=2, sessions=1, fingers=("right_index",))
     for place in enrolment.places():
         enrolment.path(place).mkdir(parents=True)
@@ -751,7 +747,7 @@ def _enrolment(folder: Path) -> None:
     (folder / "population.json").write_text(json.dumps(facts))
 
 
-def _surface(path: Path) -> None:
+def _surface(path):
     arrays = _arrays()
     kinds = {"ridge_mm", "shape_mm", "normals", "mask", "input_from_upright", "upright_size"}
     parts = {name: arrays[name] for name in kinds}
@@ -759,8 +755,8 @@ def _surface(path: Path) -> None:
 
 
 @cache
-def _store() -> Files:
-    def make(out: Path) -> None:
+def _store():
+    def make(out):
         population = out / "people"
         _enrolment(population)
         there = read_population(population)
@@ -776,8 +772,8 @@ def _store() -> Files:
     return _folder(make)
 
 
-def _batch(folder: Path, files: Files) -> object:
-    def opened() -> None:
+def _batch(folder, files):
+    def opened():
         # where there is none, a store is begun
         if os.path.lexists(folder / "store" / "store.json"):
             open_store(folder / "store", read_population(folder / "people").sha256, *DOCUMENTS)
@@ -797,7 +793,7 @@ def _batch(folder: Path, files: Files) -> object:
 # -----------------------------------------------------------------------------
 
 
-def _tips() -> list[Files]:
+def _tips():
     stream = io.StringIO()
     table = csv.writer(stream, lineterminator="\n")
     table.writerow(COLUMNS)
@@ -807,11 +803,11 @@ def _tips() -> list[Files]:
     return _each("bytes", stream.getvalue().encode())
 
 
-def _tipped(data: bytes) -> None:
+def _tipped(data):
     check_tips(read_tips(data.decode("utf-8", "replace")), (480, 640))
 
 
-def _radiometry() -> list[Files]:
+def _radiometry():
     images = [f"{k}.png" for k in range(6)]
     document = {"format": "splitknit-radiometry", "version": 1}
     document |= {
@@ -828,7 +824,7 @@ def _radiometry() -> list[Files]:
     return [{"radiometry.json": json.dumps(document).encode(), **pictures, **stack}]
 
 
-def _radiometric(folder: Path, files: Files) -> object:
+def _radiometric(folder, files):
     return _any(
         lambda: read_exposures(folder),
         lambda: read_stack([folder / f"white_{k}.png" for k in range(2)], (5, 6), "srgb"),
@@ -839,7 +835,7 @@ def _radiometric(folder: Path, files: Files) -> object:
 # -----------------------------------------------------------------------------------
 
 
-def _pages() -> list[Files]:
+def _pages():
     report = {
         "preset": "metric",
         "warnings": ["x"],
@@ -851,7 +847,7 @@ def _pages() -> list[Files]:
     ]
 
 
-def _drawn(folder: Path, files: Files) -> object:
+def _drawn(folder, files):
     return scene_of(read_result(folder), folder.name)
 
 
@@ -859,7 +855,7 @@ def _drawn(folder: Path, files: Files) -> object:
 # ------------------------------------------------------------------------------------------------
 
 
-def put(folder: Path, files: Files) -> None:
+def put(folder, files):
     """Write files, and what stands in for a file."""
     for name, file in files.items():
         path = folder / name
@@ -878,13 +874,13 @@ def put(folder: Path, files: Files) -> None:
             os.truncate(path, 3 << 30)
 
 
-def _prints() -> list[Files]:
+def _prints():
     return _written(
         "print.png", lambda path: write_print_png(path, _print(), 500.0, {"a": "b"})
     ) + _written("print.png", lambda path: path.write_bytes(encode_image(_print(), ".png")))
 
 
-def _print_files() -> list[Files]:
+def _print_files():
     """A small print in every format, and minutiae in both."""
     image, small = _print(), _noise(70, 66)
     png, jpeg, bmp = (
@@ -899,19 +895,18 @@ def _print_files() -> list[Files]:
     return _each("x", png, jfif, bmp, *records, *others)
 
 
-def _print_file(folder: Path, files: Files) -> object:
+def _print_file(folder, files):
     path = folder / "x"
 
-    def read(ppi: float | None) -> object:
+    def read(ppi):
         for item in read_print_file(path, ppi):
             if isinstance(item, PrintFile):
                 assert item.image.ndim == 2 and item.image.dtype == np.uint8
                 assert item.resolution_ppi is not None and 200 <= item.resolution_ppi <= 5080
             else:
                 minutiae_of(item)
-        return None
 
-    def measured() -> object:
+    def measured():
         return [
             _ridge_period_px(item.image)
             for item in read_prints(path)
@@ -923,7 +918,7 @@ def _print_file(folder: Path, files: Files) -> object:
     )
 
 
-def _print_folder(folder: Path, files: Files) -> None:
+def _print_folder(folder, files):
     read_print_folder(folder)
 
 
@@ -947,11 +942,7 @@ TARGETS = (
     Target(
         "result", lambda: [{**result, "report.json": _REPORT} for result in _results()], _result
     ),
-    Target(
-        "print_png",
-        _prints,
-        _of_files("print.png", read_print_png, read_one_finger),
-    ),
+    Target("print_png", _prints, _of_files("print.png", read_print_png, read_one_finger)),
     Target("print_file", _print_files, _print_file),
     Target(
         "print_folder",

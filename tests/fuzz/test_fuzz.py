@@ -1,11 +1,8 @@
 """A few changed inputs of every reader; `python -m tests.fuzz.run` goes on as long as one likes."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,7 +11,7 @@ from tests.fuzz.kills import NOT_STOPPED, VERBS
 from splitknit.registry import GROUP, registered
 
 ROOT = Path(__file__).resolve().parents[2]
-PLANTED: dict[str, Callable[[Path, bytes], object]] = {
+PLANTED = {
     "IndexError": lambda folder, data: data[3],
     "stdout or stderr": lambda folder, data: print(data[:1]) if len(data) < 4 else None,
     "left behind": lambda folder, data: (folder / "y").touch() if len(data) < 4 else None,
@@ -38,7 +35,7 @@ sys.exit(run.main(["--inputs", "800", "--keep", sys.argv[1]]))
 """
 
 
-def run(*words: str) -> subprocess.CompletedProcess[str]:
+def run(*words):
     return subprocess.run(
         [sys.executable, *words],
         cwd=ROOT,
@@ -49,14 +46,14 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_every_verb_that_writes_is_stopped_at_drawn_moments() -> None:
+def test_every_verb_that_writes_is_stopped_at_drawn_moments():
     verbs, words = set(registered(GROUP)), list(VERBS.values())
     stopped = {verb for verb in verbs if any(command.startswith(f"{verb} ") for command in words)}
     assert verbs - stopped == set(NOT_STOPPED)
 
 
 @pytest.mark.slow
-def test_every_reader_gives_a_result_or_one_sentence(tmp_path: Path) -> None:
+def test_every_reader_gives_a_result_or_one_sentence(tmp_path):
     done = run("-m", "tests.fuzz.run", "--inputs", "820", "--keep", str(tmp_path / "findings"))
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr == ""
@@ -64,7 +61,7 @@ def test_every_reader_gives_a_result_or_one_sentence(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_goes_wrong_is_found_made_small_and_kept(tmp_path: Path) -> None:
+def test_what_goes_wrong_is_found_made_small_and_kept(tmp_path):
     done = run("-c", HARNESS, str(tmp_path))
     assert done.returncode == 1, done.stdout + done.stderr
     assert f" {len(PLANTED)} findings" in done.stdout

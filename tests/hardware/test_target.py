@@ -1,8 +1,6 @@
 """The printed sheet, read back: true to scale, found by the calibration that it is for, the same
 bytes each time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,8 +13,8 @@ from hardware.target import (
     target_pdf,
 )
 from page_raster import draw, objects_of
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit_rig.calibration.targets import Board, find_board
 
 PX_PER_MM = 12.0
@@ -109,5 +107,5 @@ def test_other_boards():
     image, texts = draw(data, 4.0)
     assert "7 x 5" in texts[0]
     assert find_board(image[:720], Board(7, 5, 12.0)) is not None
-    with pytest.raises(BadInput, match="does not fit on the sheet"):
+    with bad_input("does not fit on the sheet"):
         TargetSettings(square_mm=30.0)

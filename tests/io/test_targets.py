@@ -1,13 +1,10 @@
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.rig import write_rig
@@ -27,7 +24,7 @@ WRITERS = (
 
 
 @pytest.fixture
-def taken(tmp_path: Path) -> Path:
+def taken(tmp_path):
     """A folder that splitknit wrote: photographs of a finger, as ``splitknit capture`` leaves
     them."""
     with atomic_folder(tmp_path / "finger") as folder:
@@ -37,41 +34,39 @@ def taken(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("words", WRITERS, ids=lambda words: " ".join(words[:2]))
-def test_no_verb_replaces_photographs(
-    words: list[str], taken: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_verb_replaces_photographs(words, taken, capsys):
     assert main([*words, "--out", str(taken)]) == 2
     error = capsys.readouterr().err
     assert "is not empty and is not an earlier" in error and error.count("\n") == 1
     assert (taken / "white_0.png").is_file()
 
 
-def test_the_same_kind_may_be_replaced(tmp_path: Path) -> None:
+def test_the_same_kind_may_be_replaced(tmp_path):
     check_target(tmp_path / "new", "map.npz", "an earlier print")
     check_target(tmp_path, "map.npz", "an earlier print")
     (tmp_path / "map.npz").touch()
     check_target(tmp_path, "map.npz", "an earlier print")
     (tmp_path / "map.npz").unlink()
     (tmp_path / "other").touch()
-    with pytest.raises(BadInput, match="is not an earlier print; name another folder"):
+    with bad_input("is not an earlier print; name another folder"):
         check_target(tmp_path, "map.npz", "an earlier print")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", json.dumps({"format": "another"})])
-def test_a_report_of_another_kind_is_distinguished(text: str, tmp_path: Path) -> None:
+def test_a_report_of_another_kind_is_distinguished(text, tmp_path):
     report = tmp_path / "report.json"
     report.write_text(json.dumps({"format": "ours"}))
     check_target(tmp_path, "report.json", "an earlier one", form="ours")
     report.write_text(text)
-    with pytest.raises(BadInput, match="is not an earlier one"):
+    with bad_input("is not an earlier one"):
         check_target(tmp_path, "report.json", "an earlier one", form="ours")
 
 
-def test_what_is_read_is_kept(tmp_path: Path) -> None:
+def test_what_is_read_is_kept(tmp_path):
     source = tmp_path / "a" / "b"
     source.mkdir(parents=True)
     for out in (source, source.parent, source / ".." / "b"):
-        with pytest.raises(BadInput, match="holds the input itself"):
+        with bad_input("holds the input itself"):
             check_target(out, "x", "an earlier one", keep=source)
     check_target(source / "out", "x", "an earlier one", keep=source)
 
@@ -101,13 +96,7 @@ FILE_WRITERS = (
 
 @pytest.mark.parametrize("words", FILE_WRITERS, ids=lambda words: " ".join((*words[:2], words[-1])))
 @pytest.mark.parametrize("content", [b"%PDF-1.7 a letter", b"{}", b"\xff\xd8\xff a photograph"])
-def test_no_option_replaces_a_file_of_another_kind(
-    words: list[str],
-    content: bytes,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_no_option_replaces_a_file_of_another_kind(words, content, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     suffix = ".png" if words[-1] == "--show" else ".pdf" if "target" in words else ""
     out = tmp_path / f"mine{suffix}"
@@ -118,9 +107,7 @@ def test_no_option_replaces_a_file_of_another_kind(
     assert out.read_bytes() == content and list(tmp_path.iterdir()) == [out]
 
 
-def test_an_earlier_file_of_the_same_kind_is_replaced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_earlier_file_of_the_same_kind_is_replaced(tmp_path, capsys):
     sheet, rig = tmp_path / "sheet.pdf", tmp_path / "rig.json"
     for _ in range(2):
         assert main(f"rig target --out {sheet}".split()) == 0
@@ -128,17 +115,17 @@ def test_an_earlier_file_of_the_same_kind_is_replaced(
         write_rig(default_rig(), rig)
     check_file(tmp_path / "new", "a template", lambda data: False)
     (tmp_path / "empty").touch()
-    with pytest.raises(BadInput, match="exists and is not a template"):
+    with bad_input("exists and is not a template"):
         check_file(tmp_path / "empty", "a template", lambda data: False)
     (tmp_path / "link").symlink_to("nowhere")
     for path in (tmp_path, tmp_path / "link"):
-        with pytest.raises(BadInput, match=r"is a folder|exists and is not a template"):
+        with bad_input(r"is a folder|exists and is not a template"):
             check_file(path, "a template", lambda data: True)
 
 
-def test_a_picture_is_not_written_over_a_photograph(tmp_path: Path) -> None:
+def test_a_picture_is_not_written_over_a_photograph(tmp_path):
     write_image(tmp_path / "white_0.png", np.ones((4, 4), np.uint8))
     check_picture(tmp_path / "white_0.png")
     check_picture(tmp_path / "new.png", tmp_path)
-    with pytest.raises(BadInput, match="is one of the photographs"):
+    with bad_input("is one of the photographs"):
         check_picture(tmp_path / "white_0.png", tmp_path)

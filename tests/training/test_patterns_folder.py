@@ -1,11 +1,8 @@
 """``training/patterns.py``: a folder in, a folder out, one sentence where it cannot."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,11 +23,11 @@ STEP = 1 / 65535
 SHIFTS = [(2 * i, 2 * j) for i in range(5) for j in range(5)]
 
 
-def stored(light: Any, full: int = 65535) -> Any:
+def stored(light, full=65535):
     return np.round(np.clip(light, 0, 1) * full).astype(np.uint16 if full > 255 else np.uint8)
 
 
-def write(folder: Path, images: dict[str, Any]) -> Path:
+def write(folder, images):
     folder.mkdir(exist_ok=True)
     for name, light in images.items():
         write_image(folder / name, stored(light))
@@ -38,7 +35,7 @@ def write(folder: Path, images: dict[str, Any]) -> Path:
 
 
 @pytest.fixture
-def boards(tmp_path: Path) -> Path:
+def boards(tmp_path):
     """25 shifted checkerboards over a black level, with a white image, named by their shifts."""
     patterns = checkerboard_patterns(SIZE, 5, SHIFTS)
     images = {
@@ -50,11 +47,11 @@ def boards(tmp_path: Path) -> Path:
     return write(tmp_path / "boards", images)
 
 
-def run(*words: Any) -> int:
+def run(*words):
     return main(list(map(str, words)))
 
 
-def refusal(capsys: pytest.CaptureFixture[str], out: Path, *words: Any) -> str:
+def refusal(capsys, out, *words):
     """Return the one sentence with which a run is refused; nothing is left behind."""
     before = sorted(out.parent.iterdir())
     assert run(*words, "--out", out) == 2

@@ -16,12 +16,7 @@ from splitknit_simulator.light.skin import SkinOptics
 sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
 
 from patterns import checkerboard
-from projector import (
-    Checkerboard,
-    checkerboard_stack,
-    pattern_states,
-    separate_truth,
-)
+from projector import Checkerboard, checkerboard_stack, pattern_states, separate_truth
 
 CHECK_MM, PX_PER_MM = 0.4, 20.0
 """Radiance in the rig's units does not clip."""

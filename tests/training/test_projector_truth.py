@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from kernel_of_profile import kernel as kernel_of
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import Camera, Led
 from splitknit.nominal import default_rig
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
@@ -57,9 +58,9 @@ def test_direct_and_global_light_add_up_to_the_rendered_image(pad, phases):
     truth = _truth(pad, LED, phases=phases)
     medium = replace(SKIN.medium("white"), boundary=Boundary(blurred=True))
     light = render_band(pad, [LED], medium, SHORT)
-    np.testing.assert_allclose(truth.white, light.diffuse[0] + light.glare[0], rtol=1e-5)
-    np.testing.assert_array_equal(truth.glare, light.glare[0])
-    np.testing.assert_allclose(truth.direct + truth.global_, truth.white, rtol=1e-6)
+    assert_allclose(truth.white, light.diffuse[0] + light.glare[0], rtol=1e-5)
+    assert_array_equal(truth.glare, light.glare[0])
+    assert_allclose(truth.direct + truth.global_, truth.white, rtol=1e-6)
     assert truth.window == light.window and truth.check_mm == 0.4
     assert (truth.direct >= truth.glare * (1 - 1e-5)).all() and (truth.global_ >= 0).all()
     assert {a.dtype for a in (truth.direct, truth.global_, truth.glare, truth.white)} == {
@@ -75,7 +76,7 @@ def test_direct_light_is_maximum_minus_minimum_over_all_phases(pad):
     for image in checkerboard_images(pad, LED, SKIN, fine, settings=SHORT):
         low = image if low is None else np.minimum(low, image)
         high = image if high is None else np.maximum(high, image)
-    np.testing.assert_allclose(truth.direct, high - low, atol=2e-6 * float(truth.white.max()))
+    assert_allclose(truth.direct, high - low, atol=2e-6 * float(truth.white.max()))
 
 
 def test_the_fast_truth_agrees_with_all_phases(pad):
@@ -90,9 +91,7 @@ def test_the_fast_truth_agrees_with_all_phases(pad):
     # on a flat sheet no phase is brighter than the centred one
     sheet = plane((64, 72), 20.0)
     full, fast = (_truth(sheet, LED, phases=phases) for phases in ("all", "centred"))
-    np.testing.assert_allclose(
-        fast.direct[:, 10:-10, 10:-10], full.direct[:, 10:-10, 10:-10], rtol=2e-3
-    )
+    assert_allclose(fast.direct[:, 10:-10, 10:-10], full.direct[:, 10:-10, 10:-10], rtol=2e-3)
 
 
 def test_direct_light_of_a_flat_sheet_is_the_profile_times_the_checkerboard():
@@ -120,7 +119,7 @@ def test_direct_light_of_a_flat_sheet_is_the_profile_times_the_checkerboard():
 def test_opaque_skin_has_no_global_light(pad):
     for phases in ("all", "centred"):
         truth = _truth(pad, LED, OPAQUE, phases=phases)
-        np.testing.assert_allclose(truth.direct, truth.white, atol=2e-6 * float(truth.white.max()))
+        assert_allclose(truth.direct, truth.white, atol=2e-6 * float(truth.white.max()))
     stack = checkerboard_stack(pad, LED, OPAQUE, Checkerboard(0.4), settings=SHORT)
     assert stack.shape == (25, 1, 100, 120)
     error = np.abs(stack.max(axis=0) - stack.min(axis=0) - truth.white)
@@ -144,9 +143,9 @@ def test_light_outside_the_finger_is_zero():
 
 
 def test_checks_of_a_pixel_are_refused(pad):
-    with pytest.raises(BadInput, match="larger checks"):
+    with bad_input("larger checks"):
         _truth(pad, LED, check_mm=0.08)
-    with pytest.raises(BadInput, match="larger checks"):
+    with bad_input("larger checks"):
         next(checkerboard_images(pad, LED, SKIN, Checkerboard(0.08)))
 
 
@@ -155,4 +154,4 @@ def test_opaque_skin_shows_the_projected_pattern(pad):
     stack = checkerboard_stack(pad, LED, OPAQUE, pattern, settings=SHORT)
     white = _truth(pad, LED, OPAQUE, phases="centred").white
     states = pattern_states(pad, LED, pattern)
-    np.testing.assert_allclose(stack / white, states[:, None], atol=1e-4)
+    assert_allclose(stack / white, states[:, None], atol=1e-4)

@@ -1,11 +1,8 @@
 """The training scripts, a few steps each."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,7 +29,7 @@ def loop(script):
     return script("loop")
 
 
-def test_a_seed_gives_one_palm(script) -> None:
+def test_a_seed_gives_one_palm(script):
     palms = script("palms")
     camera = importlib.import_module("splitknit.model").Camera(25.0, (160, 200))
     first, again, different = (
@@ -44,7 +41,7 @@ def test_a_seed_gives_one_palm(script) -> None:
 
 
 @pytest.mark.slow
-def test_samples_hold_fields_truth_and_weight(script) -> None:
+def test_samples_hold_fields_truth_and_weight(script):
     """A finger for `shape`, pieces of one for `relief`: the fields of both, and skin that
     counts."""
     shape, relief = script("shape"), script("relief")
@@ -55,7 +52,7 @@ def test_samples_hold_fields_truth_and_weight(script) -> None:
     assert piece.shape == (41, 300, 300) and np.abs(piece[relief.RELIEF_CHANNEL]).max() > 0.3
 
 
-def test_direct_is_trained_on_palms_and_fingers(script, loop, tmp_path: Path, monkeypatch) -> None:
+def test_direct_is_trained_on_palms_and_fingers(script, loop, tmp_path, monkeypatch):
     separation = script("separation")
     monkeypatch.setattr(separation, "IMAGE_SIZE", (96, 88))
     monkeypatch.setattr(separation, "PITCH_UM", (40.0, 40.0))
@@ -81,9 +78,7 @@ def test_direct_is_trained_on_palms_and_fingers(script, loop, tmp_path: Path, mo
 
 
 @pytest.mark.parametrize(("name", "channels"), [("relief", 41), ("shape", 35)])
-def test_networks_of_fields_learn_and_ship(
-    script, loop, tmp_path: Path, name: str, channels: int
-) -> None:
+def test_networks_of_fields_learn_and_ship(script, loop, tmp_path, name, channels):
     task = SimpleNamespace(
         **{**vars(script(name).TASK), "batch": 1, "patch_px": 48, "beyond_px": 0}
     )
@@ -103,10 +98,10 @@ def test_networks_of_fields_learn_and_ship(
     assert len(weights) == pytest.approx((SHIPPED / f"{name}.onnx").stat().st_size, rel=0.02)
 
 
-def test_what_is_refused_is_left_out_and_what_is_there_is_kept(loop, tmp_path: Path) -> None:
+def test_what_is_refused_is_left_out_and_what_is_there_is_kept(loop, tmp_path):
     asked = []
 
-    def shoot(kind: str, number: int) -> list[np.ndarray]:
+    def shoot(kind, number):
         asked.append(number)
         if number == 1:
             raise BadInput("there is no finger.")

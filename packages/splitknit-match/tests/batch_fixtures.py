@@ -16,7 +16,7 @@ from splitknit_match.batch.tables import write_table
 
 
 @pytest.fixture(scope="session")
-def reconstructed(people: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def reconstructed(people: Path, tmp_path_factory) -> Path:
     """Their store after the first stage, a file a capture; not to be changed."""
     out = tmp_path_factory.mktemp("batch") / "store"
     run(people, out)
@@ -24,13 +24,13 @@ def reconstructed(people: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 @pytest.fixture
-def store(reconstructed: Path, tmp_path: Path) -> Path:
+def store(reconstructed: Path, tmp_path) -> Path:
     """A copy of it."""
     return Path(shutil.copytree(reconstructed, tmp_path / "store"))
 
 
 @pytest.fixture(scope="session")
-def invented(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def invented(tmp_path_factory) -> tuple[Path, Path]:
     """Population and store of 2 subjects x 2 fingers x 3 sessions: templates of waves, no captures;
     not to be changed.
 
@@ -62,6 +62,6 @@ def invented(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.fixture
-def copies(invented: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
+def copies(invented: tuple[Path, Path], tmp_path) -> tuple[Path, Path]:
     """Population and a copy of its store."""
     return invented[0], Path(shutil.copytree(invented[1], tmp_path / "invented"))

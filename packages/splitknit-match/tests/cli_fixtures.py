@@ -11,7 +11,7 @@ from splitknit_simulator.finger.finger import FingerPose
 
 
 @pytest.fixture(scope="session")
-def impressions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def impressions(tmp_path_factory) -> Path:
     """Two impressions of one finger and one of another, as result folders, perfect; not to be
     changed."""
     turned = FingerPose(insertion_mm=26.0, yaw_rad=0.12, roll_rad=0.05)

@@ -35,6 +35,6 @@ minutiae.pressed_ridges = from_file.pressed_ridges = once(pressed_ridges)
 
 
 @pytest.fixture(scope="session")
-def people_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def people_folder(tmp_path_factory) -> Path:
     """Two people, three fingers, two sessions as result folders; not to be changed."""
     return enrolled.people(tmp_path_factory.mktemp("people"))

@@ -1,7 +1,5 @@
 """Codes of the findings of the matching verbs."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -10,7 +8,7 @@ from splitknit.diagnosis.codes import CODES as CORE_CODES
 from splitknit_match.codes import CODES
 
 
-def test_the_codes_are_those_that_the_sources_use() -> None:
+def test_the_codes_are_those_that_the_sources_use():
     folder = Path(splitknit_match.__file__).parent
     sources = "\n".join(
         path.read_text(encoding="utf-8") for path in folder.rglob("*.py") if path.name != "codes.py"

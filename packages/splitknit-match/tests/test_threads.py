@@ -1,7 +1,5 @@
 """One thread of BLAS in every thread of a process, from the first comparison on."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -26,7 +24,7 @@ with ThreadPoolExecutor(4) as pool:
 
 
 @pytest.mark.parametrize("first", ["work(None)", "pass"], ids=["main thread first", "any first"])
-def test_the_limit_holds_in_every_thread(first: str) -> None:
+def test_the_limit_holds_in_every_thread(first):
     pytest.importorskip("threadpoolctl")
     environment = {name: each for name, each in os.environ.items() if "NUM_THREADS" not in name}
     command = [sys.executable, "-c", PROGRAM.replace("FIRST", first)]

@@ -1,19 +1,15 @@
 """Coloured LEDs in a capture: separated, written and read, and refused where they cannot be
 separated."""
 
-from __future__ import annotations
-
 import json
-from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from enrolled import refusal_of
+from refusals import bad_input
 from small_capture import edit
-from splitknit.capture import Band, Capture
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Camera, Led, Rig
@@ -21,8 +17,6 @@ from splitknit.nominal import CROSSTALK
 from splitknit.observation.coloured import COMPOSED, balanced, composed
 from splitknit.observation.observe import observe
 from splitknit.pipeline import reconstruct
-from splitknit.presets import PRESETS
-from splitknit.settings import override
 from splitknit_simulator.rigs import coloured_rig
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
@@ -31,31 +25,13 @@ MIXING = np.array(CROSSTALK)
 
 
 @pytest.fixture(scope="module")
-def twin() -> Capture:
+def twin():
     return simulate_capture(4, "left_loop", TwinSettings(rig=coloured_rig(0.12, 0)))[0]
 
 
 @pytest.fixture(scope="module")
-def white() -> Capture:
+def white():
     return simulate_capture(4, "left_loop", TwinSettings(scale=0.12))[0]
-
-
-def band_of(
-    light: np.ndarray, colours: tuple[tuple[str, ...], ...], crosstalk: np.ndarray | None
-) -> Band:
-    """16-bit images of linear light (L, H, W, 3)."""
-    groups, start = [], 0
-    for names in colours:
-        groups.append(tuple(range(start, start + len(names))))
-        start += len(names)
-    count = len(light)
-    return Band(
-        "white",
-        np.rint(light * 65535).astype(np.uint16),
-        tuple(groups),
-        np.ones(count),
-        np.zeros(count),
-    )
 
 
 def test_a_coloured_capture_is_written_and_read(twin, tmp_path):
@@ -119,7 +95,7 @@ def test_colours_that_cannot_be_separated_are_refused(  # noqa: PLR0917
 
 
 def test_metric_refuses_coloured_leds(twin):
-    with pytest.raises(BadInput, match="blurs the light of each coloured LED differently"):
+    with bad_input("blurs the light of each coloured LED differently"):
         reconstruct(twin)
 
 
@@ -159,15 +135,6 @@ def test_balanced_images_fit_a_matt_surface_better(twin):
         rest = images - lights @ (np.linalg.pinv(lights) @ images)
         left.append(float((rest**2).mean() / (images**2).mean()))
     assert left[1] < 0.5 * left[0]
-
-
-def test_only_the_preset_lin_composes_and_balances_coloured_lights():
-    stated = {
-        preset: (PRESETS[preset].lights.compose, PRESETS[preset].lights.balance)
-        for preset in ("ea", "lin")
-    }
-    assert stated == {"ea": (0, False), "lin": (2, True)}
-    assert asdict(override(PRESETS["ea"], {"lights.compose": 1}))["lights"]["compose"] == 1
 
 
 @pytest.mark.slow

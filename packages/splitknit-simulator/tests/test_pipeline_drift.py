@@ -1,21 +1,14 @@
 """A capture by a calibrated rig says which LED is no longer as bright as it was."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
-from splitknit.capture import Capture
-from splitknit.findings import Finding
 from splitknit.observation.observe import observe
 from splitknit.pipeline import reconstruct
 
 
-def drifts(
-    capture: Capture, changes: dict[int, float], provenance: dict[str, Any]
-) -> list[Finding]:
+def drifts(capture, changes, provenance):
     """Drifts in a capture whose rig file has other intensities than the LEDs had."""
     leds = tuple(
         replace(led, intensity=led.intensity * changes.get(k, 1.0))

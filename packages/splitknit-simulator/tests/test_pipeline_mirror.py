@@ -1,17 +1,13 @@
 """A capture with mirrors through the whole pipeline: the shape from mirrors, or the front view
 alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from enrolled import facts_of, refusal_of
-from splitknit.capture import Capture
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.io.capture import write_capture
 from splitknit.pipeline import reconstruct
 from splitknit_simulator.accuracy import compare
@@ -20,11 +16,9 @@ from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
-Photographed = tuple[Capture, dict[str, Any]]
-
 
 @pytest.fixture(scope="module")
-def photographed() -> Photographed:
+def photographed():
     mirrors = MirrorSettings(names=("left",), nir=False)
     pose = FingerPose(yaw_rad=0.05, roll_rad=-0.06, insertion_mm=28.5)
     return simulate_capture(9002, settings=TwinSettings(scale=0.2, mirrors=mirrors, pose=pose))
@@ -72,11 +66,11 @@ def test_captures_and_presets_without_a_shape_from_mirrors_are_refused(
     mask = np.zeros(capture.shape, dtype=np.bool_)
     # a given mask: two views in the picture would be two fingers else
     mask[200:400, 250:400] = True
-    with pytest.raises(BadInput, match="the rig has no mirrors"):
+    with bad_input("the rig has no mirrors"):
         reconstruct(replace(bare, mask=mask), "snk", {"shape.source": "mirror"})
-    with pytest.raises(BadInput, match="keeps the visible surface whole"):
+    with bad_input("keeps the visible surface whole"):
         reconstruct(capture, "pr", {"shape.source": "mirror", "direct.method": "none"})
-    with pytest.raises(BadInput, match="'nir', 'white', 'mirror'"):
+    with bad_input("'nir', 'white', 'mirror'"):
         reconstruct(capture, "metric", {"shape.source": "sonar"})
     write_capture(replace(bare, mask=mask), tmp_path / "bare")
     options = "--out", tmp_path / "out", "--shape", "mirror"

@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit import reconstruct
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.finger.steady import find_steady_finger
 from splitknit.io.capture import write_capture
 from splitknit.observation.observe import observe
@@ -110,7 +110,7 @@ def test_correct_off_changes_nothing_and_on_always_registers(still, moved):
 @pytest.mark.slow
 def test_too_much_motion_is_refused(moved, tmp_path, capsys):
     capture, truth = moved
-    with pytest.raises(BadInput, match=r"moved by 0\.\d\d mm .* at most 0\.05 mm can be undone"):
+    with bad_input(r"moved by 0\.\d\d mm .* at most 0\.05 mm can be undone"):
         steadied(capture, most_mm=0.05)
     write_capture(capture, tmp_path / "capture", truth)
     out = tmp_path / "result"

@@ -1,29 +1,23 @@
 """A finger under a perspective camera whose axis misses the image's middle, and whose lens bends
 and darkens."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from splitknit.capture import Capture
 from splitknit.model import Camera
 from splitknit.nominal import default_rig
 from splitknit.pipeline import reconstruct
-from splitknit.reconstruction import Reconstruction
 from splitknit_simulator.finger.finger import FingerPose
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
 SCALE = 0.12
-Truth = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def photographed() -> tuple[Capture, Truth]:
+def photographed():
     rig = default_rig(SCALE, 0)
     rows, columns = rig.camera.image_size
     focal = rig.camera.px_per_mm * 140.0
@@ -44,11 +38,11 @@ def photographed() -> tuple[Capture, Truth]:
 
 
 @pytest.fixture(scope="module")
-def reconstructed(photographed: tuple[Capture, Truth]) -> Reconstruction:
+def reconstructed(photographed):
     return reconstruct(photographed[0], settings={"metric.rounds": 1})
 
 
-def misplaced(result: Reconstruction, capture: Capture, truth: Truth) -> tuple[float, float]:
+def misplaced(result, capture, truth):
     """Mean error across (mm), and error of the height's scale."""
     seen = result.mask & truth["mask"] & np.isfinite(truth["height_mm"])
     height, true = result.height_mm[seen], truth["height_mm"][seen]

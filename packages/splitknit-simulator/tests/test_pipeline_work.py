@@ -1,17 +1,13 @@
 """What a reconstruction by `metric` computes, loads and keeps: counted, for seconds depend on the
 machine."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections import Counter
 
-import numpy as np
 import pytest
 
 import splitknit
-from splitknit.capture import Capture
 from splitknit.io.capture import write_capture
 from splitknit.methods import metric
 from splitknit.networks import unet
@@ -22,37 +18,37 @@ from splitknit_simulator.twin import simulate_capture
 
 
 @pytest.fixture(scope="module")
-def capture() -> Capture:
+def capture():
     """A small finger whose pixels the networks can read, halved."""
     return simulate_capture(3, None, TwinSettings(scale=0.17))[0]
 
 
 @pytest.fixture
-def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+def counts(monkeypatch):
     """Calls, pixels and transforms of what is run while the test lasts."""
-    counter: Counter[str] = Counter()
+    counter = Counter()
     infer, compare, features = unet._infer, shape.residual_of, learned.features
     forward, inverse = Grid.forward, Grid.inverse
 
-    def inferring(network: unet.Network, image: np.ndarray) -> np.ndarray:
+    def inferring(network, image):
         counter[f"pixels of the {network.card.name} network"] += image[0, 0].size
         return infer(network, image)
 
-    def comparing(*arguments: object) -> shape.Residual:
+    def comparing(*arguments):
         counter["comparisons"] += 1
         return compare(*arguments)
 
-    def describing(*arguments: object) -> learned.Features:
+    def describing(*arguments):
         counter["features"] += 1
         described = features(*arguments)
         counter["pixels"] = described.fields[0].size
         return described
 
-    def there(grid: Grid, field: np.ndarray, extend: bool = False) -> np.ndarray:
+    def there(grid, field, extend=False):
         counter["transforms"] += field[..., 0, 0].size
         return forward(grid, field, extend)
 
-    def back(grid: Grid, spectrum: np.ndarray) -> np.ndarray:
+    def back(grid, spectrum):
         counter["transforms"] += spectrum[..., 0, 0].size
         return inverse(grid, spectrum)
 

@@ -1,21 +1,18 @@
 """Arrays are in mm, of an assumed scale where nobody measured it; files are then in pixels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
-import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import splitknit
 import splitknit_simulator
-from splitknit.capture import Capture
 from splitknit.io.npz import read_npz
 from splitknit.model import Led, Rig, camera_without_scale, vector_at_origin
 from splitknit.units import MILLIMETRES, pixels
 
 
-def unscaled(capture: Capture) -> Capture:
+def unscaled(capture):
     """The same photographs, by a camera whose scale nobody has measured, under distant lights."""
     leds = tuple(
         Led(led.band, direction=tuple(vector_at_origin(led).tolist())) for led in capture.rig.leds
@@ -30,17 +27,17 @@ def test_a_file_of_unknown_scale_is_in_pixels(tmp_path):
     assert not result.scale_known and result.pitch_mm == capture.rig.camera.pitch_mm
     stated = replace(capture.rig.camera, scale_known=True)
     known = splitknit.reconstruct(replace(capture, rig=replace(capture.rig, camera=stated)), "ea")
-    np.testing.assert_array_equal(result.height_mm, known.height_mm)
+    assert_array_equal(result.height_mm, known.height_mm)
     result.save(tmp_path / "result", capture)
     arrays = read_npz(tmp_path / "result" / "height.npz", ("height_px", "height_mm", "pitch_mm"))
     assert set(arrays) == {"height_px"}
-    np.testing.assert_allclose(arrays["height_px"], result.height_mm / result.pitch_mm, rtol=1e-6)
+    assert_allclose(arrays["height_px"], result.height_mm / result.pitch_mm, rtol=1e-6)
     again = splitknit.read_result(tmp_path / "result")
     assert again.unit == pixels(1.0)
-    np.testing.assert_array_equal(again.height_mm, arrays["height_px"])
+    assert_array_equal(again.height_mm, arrays["height_px"])
     again.save(tmp_path / "again", capture)
     kept = read_npz(tmp_path / "again" / "height.npz", ("height_px",))
-    np.testing.assert_array_equal(kept["height_px"], arrays["height_px"])
+    assert_array_equal(kept["height_px"], arrays["height_px"])
 
 
 def test_facts_in_pixels_have_names_of_pixels():

@@ -32,7 +32,7 @@ finger.master_print = drawn_once  # type: ignore[assignment]
 
 
 @pytest.fixture(scope="session")
-def twin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def twin_folder(tmp_path_factory) -> Path:
     """Capture folder of a simulated finger, 330 x 480 pixels, its crease in view; not to be
     changed."""
     folder = tmp_path_factory.mktemp("twin") / "capture"
@@ -49,7 +49,7 @@ def twin_capture(twin_folder: Path) -> Capture:
 
 
 @pytest.fixture(scope="session")
-def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def people(tmp_path_factory) -> Path:
     """Two people's right index fingers in two sessions, simulated; not to be changed."""
     folder = tmp_path_factory.mktemp("batch") / "people"
     settings = PopulationSettings(seed=3, scale=0.08)

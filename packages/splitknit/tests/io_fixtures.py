@@ -53,7 +53,7 @@ def build_capture() -> Build:
 
 
 @pytest.fixture
-def folder(tmp_path: Path, build_capture: Build) -> Path:
+def folder(tmp_path, build_capture: Build) -> Path:
     """Capture folder that is in order."""
     path = tmp_path / "capture"
     write_capture(build_capture(), path)

@@ -13,7 +13,7 @@ from splitknit.report.result import write_results
 
 
 @pytest.fixture(scope="session")
-def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+def written(tmp_path_factory) -> tuple[Path, dict[str, Any]]:
     """Return a folder of results with a truth, and the facts of its report."""
     result, _ = finger()
     folder = tmp_path_factory.mktemp("written") / "result"

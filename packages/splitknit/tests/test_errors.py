@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit.checks import check_image, check_lights, check_mask, check_stack
 from splitknit.errors import BadInput, importing, refusing, require
 from splitknit.files import read_bytes
@@ -28,23 +29,23 @@ def test_a_stack_is_checked_for_shape_count_and_finite_values():
         (np.ones((3, 0, 5)), "empty"),
         (np.full((3, 4, 5), np.inf), "infinite"),
     ):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             check_stack(bad, least=3)
 
 
 def test_an_image_is_checked_for_shape_and_finite_values():
     assert check_image([[1, 2], [3, 4]]).dtype == np.float32
     for bad in (np.ones(4), np.ones((0, 4)), np.array([[1.0, np.nan]])):
-        with pytest.raises(BadInput, match="the picture"):
+        with bad_input("the picture"):
             check_image(bad, name="the picture")
 
 
 def test_a_mask_is_checked_for_shape_and_content():
     assert check_mask(None, (2, 3)).all()
     np.testing.assert_array_equal(check_mask([[0, 2]], (1, 2)), [[False, True]])
-    with pytest.raises(BadInput, match="shape"):
+    with bad_input("shape"):
         check_mask(np.ones((2, 2)), (2, 3))
-    with pytest.raises(BadInput, match="empty"):
+    with bad_input("empty"):
         check_mask(np.zeros((2, 3)), (2, 3))
 
 
@@ -66,12 +67,12 @@ def test_lights_keep_their_length():
     ],
 )
 def test_lights_that_determine_no_normal_are_refused(lights, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         check_lights(lights)
 
 
 def test_lights_must_match_the_images():
-    with pytest.raises(BadInput, match="5 lights for 7 images"):
+    with bad_input("5 lights for 7 images"):
         check_lights(RING, 7)
 
 
@@ -96,16 +97,15 @@ def test_only_whole_regular_files_of_the_budget_are_read(tmp_path):
         ("a\0b", "cannot be read"),
         ("/proc/self/maps", "too large: more than 4 bytes"),
     ):
-        with pytest.raises(BadInput, match=words) as caught:
+        with bad_input(words):
             read_bytes(path, 4)
-        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files cannot be listed")
 def test_a_refused_folder_is_closed(tmp_path):
     before = len(list(Path("/proc/self/fd").iterdir()))
     for _ in range(5):
-        with pytest.raises(BadInput, match="is not a file"):
+        with bad_input("is not a file"):
             read_bytes(tmp_path, 4)
     assert len(list(Path("/proc/self/fd").iterdir())) == before
 
@@ -132,7 +132,7 @@ def test_refusals_are_one_printable_line_whatever_they_quote():
     assert str(error) == r"'a\nb\x1b[2J\ud800\u2028é' is no name"
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
     assert len(str(BadInput("x" * 10**6))) < 2100
-    with pytest.raises(BadInput, match="NaN or infinite"):
+    with bad_input("NaN or infinite"):
         check_lights([[1e200, 0, 1], [0, 1, 1], [-1, 0, 1]])
 
 

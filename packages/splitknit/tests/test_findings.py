@@ -4,12 +4,10 @@ import re
 from pathlib import Path
 from typing import get_args
 
-import pytest
-
 import splitknit
+from refusals import bad_input
 from splitknit.diagnosis.codes import CODES
 from splitknit.diagnosis.photographs import Fault
-from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity, refuse, worst_first
 from splitknit.methods.metric import HARDLY_MEASURED
 
@@ -42,7 +40,7 @@ def test_the_worst_finding_comes_first_and_each_once():
 def test_only_findings_that_spoil_the_result_are_refused():
     refuse([NOTE, DOUBT, SPOILS], keep=True)
     refuse([NOTE, DOUBT], keep=False)
-    with pytest.raises(BadInput, match=r"^c; `keep`"):
+    with bad_input(r"^c; `keep`"):
         refuse([NOTE, SPOILS], keep=False)
 
 

@@ -2,8 +2,8 @@
 
 import pytest
 
+from refusals import bad_input
 from splitknit import plausible
-from splitknit.errors import BadInput
 from splitknit.plausible import CAMERA_HEIGHT, RELIEF, _Plausible
 
 QUANTITIES = [value for value in vars(plausible).values() if isinstance(value, _Plausible)]
@@ -25,7 +25,7 @@ def test_unusual_values_get_a_note():
 
 def test_impossible_values_are_refused():
     words = "is 1401 mm, where only 15 to 1000 mm is possible: check `square_mm`"
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         CAMERA_HEIGHT.notes(1401.0, "check `square_mm`")
-    with pytest.raises(BadInput):
+    with bad_input():
         CAMERA_HEIGHT.notes(float("nan"), "check `square_mm`")

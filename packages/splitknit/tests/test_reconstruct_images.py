@@ -5,9 +5,9 @@ import cv2
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from rough_dome import scene, spoilt
 from splitknit import reconstruct_images
-from splitknit.errors import BadInput
 
 KINDS = {
     "uint8": lambda stack: np.rint(stack * 255).astype(np.uint8),
@@ -94,7 +94,7 @@ def test_grey_images_stored_as_colour_take_lights_of_any_colour(bright, sound):
 )
 def test_arrays_that_cannot_be_used_are_refused(change, words):
     stack, lights, mask = photographs()
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         reconstruct_images(**{"images": stack, "lights": lights, "mask": mask, **change})
 
 

@@ -5,7 +5,8 @@ from typing import Annotated, Literal
 
 import pytest
 
-from splitknit.errors import BadInput, require
+from refusals import bad_input
+from splitknit.errors import require
 from splitknit.presets import preset_settings
 from splitknit.settings import Checked, Limits, check_fields, flatten, override
 
@@ -19,7 +20,7 @@ class Inner:
     limit: float | None = None
     on: bool = True
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         require(self.sigma > 0, "sigma must be positive.")
 
 
@@ -56,7 +57,7 @@ def test_override_changes_the_named_fields_only():
     ],
 )
 def test_wrong_settings_are_refused_with_a_remedy(changes, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         override(Outer(), changes)
 
 
@@ -66,10 +67,10 @@ def test_flatten_joins_names():
 
 @pytest.mark.parametrize("value", ["\ud800", "a\nb", "a" * 1001, 10**400])
 def test_a_value_that_could_not_be_printed_is_refused_in_a_short_line(value):
-    with pytest.raises(BadInput, match=r"setting|must") as caught:
+    with bad_input(r"setting|must") as caught:
         override(preset_settings("metric"), {"knit.method": value})
     assert str(caught.value).isprintable() and len(str(caught.value)) < 300
-    with pytest.raises(BadInput, match="there is no setting") as caught:
+    with bad_input("there is no setting") as caught:
         override(preset_settings("metric"), {f"knit.{value}": 1})
     assert str(caught.value).isprintable() and len(str(caught.value)) < 300
 
@@ -88,7 +89,7 @@ class PairSettings(Checked):
     low: Annotated[float, Limits(max=2)] = 0.0
     high: float = 1.0
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         check_fields(self)
         require(self.low <= self.high, "low above high.")
 
@@ -108,14 +109,14 @@ class PairSettings(Checked):
     ],
 )
 def test_a_value_outside_its_declared_limits_is_refused(change, message):
-    with pytest.raises(BadInput) as caught:
+    with bad_input() as caught:
         LampSettings(**change)
     assert str(caught.value) == message
 
 
 def test_limits_include_their_bounds_and_rules_between_fields_hold():
     assert LampSettings(power_w=5.0, span_mm=(-2.0, 3.0), seed=None).seed is None
-    with pytest.raises(BadInput, match=r"^both\.low must be at most 2, but it is 3\.0\.$"):
+    with bad_input(r"^both\.low must be at most 2, but it is 3\.0\.$"):
         PairSettings(low=3.0, high=4.0)
-    with pytest.raises(BadInput, match=r"^low above high\.$"):
+    with bad_input(r"^low above high\.$"):
         PairSettings(low=2.0)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import tifffile
+from numpy.testing import assert_array_equal
 from PIL import Image
 
 VERTEX = [("place", "<f4", 3), ("normal", "<f4", 3), ("quality", "<f4")]
@@ -80,13 +81,13 @@ def read_by_all(path: Path) -> np.ndarray:
     import skimage.io
 
     values = tifffile.imread(path)
-    np.testing.assert_array_equal(imageio.v3.imread(path), values)
-    np.testing.assert_array_equal(skimage.io.imread(path), values)
+    assert_array_equal(imageio.v3.imread(path), values)
+    assert_array_equal(skimage.io.imread(path), values)
     if values.ndim == 2 or values.dtype == np.uint8:  # Pillow has no other colours
         with Image.open(path) as picture:
-            np.testing.assert_array_equal(np.asarray(picture), values)
+            assert_array_equal(np.asarray(picture), values)
     colours = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(colours if values.ndim == 2 else colours[..., ::-1], values)
+    assert_array_equal(colours if values.ndim == 2 else colours[..., ::-1], values)
     return values
 
 

@@ -1,11 +1,7 @@
 """Which captures are compared: all of them, or a fraction that grows without changing, in
 blocks."""
 
-from __future__ import annotations
-
 from collections import Counter
-
-import pytest
 
 from splitknit_match.batch.population import CaptureRef, all_pairs, blocks_of
 
@@ -16,7 +12,7 @@ CAPTURES = [
 ]
 
 
-def test_all_fingers_of_all_pairs_of_sessions() -> None:
+def test_all_fingers_of_all_pairs_of_sessions():
     pairs = all_pairs(CAPTURES, 1.0, 0)
     assert pairs.a.size == 3 * 14 * 14
     assert pairs.genuine.sum() == 3 * 14
@@ -25,7 +21,7 @@ def test_all_fingers_of_all_pairs_of_sessions() -> None:
     )
 
 
-def test_a_share_keeps_all_genuine_ones_and_grows_without_changing() -> None:
+def test_a_share_keeps_all_genuine_ones_and_grows_without_changing():
     few, more = all_pairs(CAPTURES, 0.2, 7), all_pairs(CAPTURES, 0.5, 7)
     named = [set(zip(pairs.a.tolist(), pairs.b.tolist(), strict=True)) for pairs in (few, more)]
     assert named[0] < named[1]
@@ -41,7 +37,7 @@ def test_a_share_keeps_all_genuine_ones_and_grows_without_changing() -> None:
     assert set(zip(reseeded.a.tolist(), reseeded.b.tolist(), strict=True)) != named[0]
 
 
-def test_blocks_hold_every_comparison_once_and_stay_small(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_hold_every_comparison_once_and_stay_small(monkeypatch):
     monkeypatch.setattr("splitknit_match.batch.population.PAIRS", 50)
     pairs = all_pairs(CAPTURES, 1.0, 0)
     blocks = blocks_of(pairs, CAPTURES, 5)

@@ -1,7 +1,5 @@
 """Workers that are killed: nothing is lost, nothing is counted twice."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -11,16 +9,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from batch_stores import run, tables
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.networks.unet import running
 from splitknit_match.batch import tasks
 from splitknit_match.batch.store import Store
@@ -29,30 +25,30 @@ from splitknit_match.batch.tasks import AHEAD, Done, Workers, connected, run_tas
 HERE, TWO = Workers(1), Workers(2)
 
 
-def double(value: int) -> Done:
+def double(value):
     return Done(2 * value)
 
 
-def threads_of(value: int) -> Done:
+def threads_of(value):
     return Done(running().threads)
 
 
-def die(value: int) -> Done:
+def die(value):
     if value == 2:
         os.kill(os.getpid(), signal.SIGKILL)
     return Done(value)
 
 
-def sizes(work: Callable[[int], Done], values: Any, workers: Workers) -> list[int]:
+def sizes(work, values, workers):
     return sorted(done.size for done in run_tasks(work, values, workers))
 
 
 @contextmanager
-def when_begun(out: Path, act: Callable[[], None]) -> Iterator[threading.Event]:
+def when_begun(out, act):
     """Do something as soon as the first chunk is there."""
     done, stop = threading.Event(), threading.Event()
 
-    def watch() -> None:
+    def watch():
         while not stop.is_set():
             if list(out.glob("features/ea/*/*/*.npz")):
                 act()
@@ -70,34 +66,34 @@ def when_begun(out: Path, act: Callable[[], None]) -> Iterator[threading.Event]:
 
 
 @pytest.mark.slow
-def test_tasks_here_and_in_processes_give_the_same() -> None:
+def test_tasks_here_and_in_processes_give_the_same():
     assert (
         sizes(double, range(7), HERE) == sizes(double, range(7), TWO) == [2 * k for k in range(7)]
     )
     assert sizes(double, [], TWO) == []
 
 
-def test_a_killed_process_ends_the_run_with_one_sentence() -> None:
-    with pytest.raises(BadInput, match="a worker was killed") as error:
+def test_a_killed_process_ends_the_run_with_one_sentence():
+    with bad_input("a worker was killed") as error:
         sizes(die, range(4), TWO)
     assert "run the same again" in str(error.value)
 
 
-def test_workers_are_as_many_as_memory_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_are_as_many_as_memory_holds(monkeypatch):
     assert tasks.workers_that_fit() >= 1
     monkeypatch.setattr(tasks, "WORKER_BYTES", 1 << 60)
     assert tasks.workers_that_fit() == 1
     assert sizes(threads_of, range(3), Workers(3)) == [running().threads] * 3  # in this process
 
 
-def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_package_that_is_missing_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    missing = pytest.raises(BadInput, match=r"distributed.*splitknit-match\[cluster\]")
+    missing = bad_input(r"distributed.*splitknit-match\[cluster\]")
     with missing, connected("tcp://127.0.0.1:1"):
         pass
 
 
-def certificates(folder: Path) -> Path:
+def certificates(folder):
     """Write a CA, a certificate that it signed, and the key of that."""
     if shutil.which("openssl") is None:
         pytest.skip("no openssl to make certificates")
@@ -114,7 +110,7 @@ def certificates(folder: Path) -> Path:
     return folder
 
 
-def configured(folder: Path) -> Any:
+def configured(folder):
     """Dask with a folder's certificates, as its environment variables would set them."""
     import dask
 
@@ -125,7 +121,7 @@ def configured(folder: Path) -> Any:
 
 
 @pytest.fixture(scope="module")
-def tls(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path, Path]]:
+def tls(tmp_path_factory):
     """Address of a cluster, the certificates of its CA, and those of another one."""
     distributed = pytest.importorskip("distributed")
     folder = tmp_path_factory.mktemp("tls")
@@ -151,7 +147,7 @@ def tls(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path, P
         yield cluster.scheduler_address, good, foreign
 
 
-def listening() -> int:
+def listening():
     """Ports that this process listens on."""
     import psutil
 
@@ -177,12 +173,12 @@ def listening() -> int:
         "",
     ],
 )
-def test_other_addresses_are_refused(address: str) -> None:
-    with pytest.raises(BadInput, match="is not the address of a scheduler"), connected(address):
+def test_other_addresses_are_refused(address):
+    with bad_input("is not the address of a scheduler"), connected(address):
         pass
 
 
-def test_code_goes_to_other_computers_only_encrypted() -> None:
+def test_code_goes_to_other_computers_only_encrypted():
     for host in (
         "people.example",
         "10.0.0.1",
@@ -191,33 +187,22 @@ def test_code_goes_to_other_computers_only_encrypted() -> None:
         "[::]",
         "[2001:db8::1]",
     ):
-        with (
-            pytest.raises(BadInput, match="can send code that its workers run"),
-            connected(f"tcp://{host}:8786"),
-        ):
+        with bad_input("can send code that its workers run"), connected(f"tcp://{host}:8786"):
             pass
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
-def test_a_scheduler_that_is_not_there(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_is_not_there(host, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(tasks, "PATIENCE_S", 0.5)
-    refused = pytest.raises(
-        BadInput, match=r"cannot be reached \(.*(refused|no answer in time|Cannot assign)"
-    )
+    refused = bad_input(r"cannot be reached \(.*(refused|no answer in time|Cannot assign)")
     with refused, connected(f"tcp://{host}:9"):
         pass
 
 
 @pytest.mark.slow
-def test_a_cluster_is_used_by_whom_its_ca_knows(
-    tls: tuple[str, Path, Path],
-    people: Path,
-    tmp_path: Path,
-    capsys: Any,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_cluster_is_used_by_whom_its_ca_knows(tls, people, tmp_path, capsys, monkeypatch):
     address, good, foreign = tls
     monkeypatch.setattr(tasks, "PATIENCE_S", 10.0)
     words = f"batch {people} --cases ea --matchers none".split()
@@ -247,13 +232,13 @@ class Counted(list[int]):
 
     begun = 0
 
-    def __iter__(self) -> Iterator[int]:
+    def __iter__(self):
         for task in super().__iter__():
             self.begun += 1
             yield task
 
 
-def test_the_scheduler_is_given_few_tasks_at_a_time(tls: tuple[str, Path, Path]) -> None:
+def test_the_scheduler_is_given_few_tasks_at_a_time(tls):
     address, good, _ = tls
     values = Counted(range(20))
     with configured(good), connected(address) as client:
@@ -263,16 +248,14 @@ def test_the_scheduler_is_given_few_tasks_at_a_time(tls: tuple[str, Path, Path])
 
 
 @pytest.mark.slow
-def test_each_of_several_jobs_runs_networks_on_one_thread() -> None:
+def test_each_of_several_jobs_runs_networks_on_one_thread():
     before = running()
     assert sizes(threads_of, range(4), TWO) == [1] * 4
     assert sizes(threads_of, range(4), HERE) == [before.threads] * 4
     assert running() == before
 
 
-def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(
-    tls: tuple[str, Path, Path],
-) -> None:
+def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(tls):
     import dask
 
     address, good, foreign = tls
@@ -285,18 +268,11 @@ def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(
         with configured(good), dask.config.set(setting), connected(address) as client:
             assert sizes(double, [4], Workers(1, client)) == [8]
             assert listening() == before
-    with (
-        configured(foreign),
-        dask.config.set(weak),
-        pytest.raises(BadInput, match="verify failed"),
-        connected(address),
-    ):
+    with configured(foreign), dask.config.set(weak), bad_input("verify failed"), connected(address):
         pass
 
 
-def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(tmp_path, monkeypatch):
     """Commands of docs/guide/batch.md: what OpenSSL writes is taken, and Dask understands its
     options."""
     pytest.importorskip("distributed")
@@ -328,7 +304,7 @@ def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(
 
 
 @pytest.mark.slow
-def test_a_killed_worker_of_a_cluster_loses_nothing(people: Path, tmp_path: Path, caplog) -> None:
+def test_a_killed_worker_of_a_cluster_loses_nothing(people, tmp_path, caplog):
     distributed = pytest.importorskip("distributed")
     out = tmp_path / "cluster"
     with distributed.LocalCluster(
@@ -358,7 +334,7 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_the_run_and_its_processes_quietly(people: Path, tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_run_and_its_processes_quietly(people, tmp_path):
     out = tmp_path / "stopped"
     program = subprocess.Popen(
         [sys.executable, "-c", RUN, str(people), str(out)],
@@ -416,7 +392,7 @@ print("sound")
 
 
 @pytest.mark.slow
-def test_kills_at_any_moment_lose_and_change_no_byte(people: Path, tmp_path: Path) -> None:
+def test_kills_at_any_moment_lose_and_change_no_byte(people, tmp_path):
     arguments = [str(people), str(tmp_path), str(Path(__file__).parents[1])]
     process = subprocess.run(
         [sys.executable, "-c", MANY_KILLED, *arguments], capture_output=True, text=True, check=False

@@ -1,10 +1,5 @@
-from __future__ import annotations
-
 import subprocess
 import sys
-from pathlib import Path
-
-import pytest
 
 from splitknit.io import paging
 
@@ -35,7 +30,7 @@ if __name__ == "__main__":
 """
 
 
-def test_ctrl_c_ends_the_run_and_the_jobs_of_its_workers(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_run_and_the_jobs_of_its_workers(tmp_path):
     (tmp_path / "jobs.py").write_text(JOBS)
     run = subprocess.run(
         [sys.executable, "jobs.py"],
@@ -50,14 +45,14 @@ def test_ctrl_c_ends_the_run_and_the_jobs_of_its_workers(tmp_path: Path) -> None
     assert not list((tmp_path / "out").iterdir())
 
 
-def test_threads_of_a_worker_share_one_heap(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[tuple[int, int]] = []
+def test_threads_of_a_worker_share_one_heap(monkeypatch):
+    calls = []
 
     class Glibc:
-        def __init__(self, name: None) -> None:
+        def __init__(self, name):
             pass
 
-        def mallopt(self, parameter: int, value: int) -> int:
+        def mallopt(self, parameter, value):
             calls.append((parameter, value))
             return 1
 

@@ -1,22 +1,18 @@
 """``splitknit batch`` on the command line."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
 
 import pytest
 
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit_match.batch.verbs import _case
 
 
 @pytest.mark.slow
-def test_a_population_on_the_command_line(
-    people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_population_on_the_command_line(people, tmp_path, capsys):
     store = tmp_path / "store"
     words = f"batch {people} --out {store} --cases ea --jobs 1".split()
     assert main([*words, "--matchers", "ridge", "--json"]) == 0
@@ -43,9 +39,7 @@ def test_a_population_on_the_command_line(
 
 
 @pytest.mark.slow
-def test_a_damaged_copy_is_named_and_done_again(
-    people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_copy_is_named_and_done_again(people, tmp_path, capsys):
     """A copy that broke off is no failure to acquire: the others are done, and the next run finds
     it whole."""
     copies, store = tmp_path / "people", tmp_path / "store"
@@ -80,9 +74,7 @@ def test_a_damaged_copy_is_named_and_done_again(
     assert Path(again["csv"][0]).read_bytes() == Path(facts["csv"][0]).read_bytes()
 
 
-def test_of_damaged_copies_alone_nothing_is_kept(
-    people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_of_damaged_copies_alone_nothing_is_kept(people, tmp_path, capsys):
     copies = tmp_path / "people"
     shutil.copytree(people, copies)
     for file in copies.rglob("white_1.png"):
@@ -94,12 +86,12 @@ def test_of_damaged_copies_alone_nothing_is_kept(
     assert list((tmp_path / "store").rglob("*.npz")) == []
 
 
-def test_cases_of_ones_own() -> None:
+def test_cases_of_ones_own():
     case = _case("near=ea:normals.method=near_light,shapelets.scales=5")
     assert (case.name, case.preset) == ("near", "ea")
     assert case.changes == {"normals.method": "near_light", "shapelets.scales": 5}
     assert _case("plain=pr").changes == {}
-    with pytest.raises(BadInput, match="NAME=PRESET"):
+    with bad_input("NAME=PRESET"):
         _case("plain")
-    with pytest.raises(BadInput, match="not of the form"):
+    with bad_input("not of the form"):
         _case("a=ea:rubbish")

@@ -1,8 +1,6 @@
 """``splitknit enroll`` and ``splitknit gallery``: what goes in, what can be seen, what is gone,
 what is refused."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -24,7 +22,7 @@ PHRASE = "a phrase for tests"
 
 
 @pytest.fixture(scope="module")
-def whole(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(people_folder, tmp_path_factory):
     """Gallery of the whole population; not to be changed."""
     file = tmp_path_factory.mktemp("whole") / "people.skg"
     assert main(f"enroll {file} --population {people_folder}".split()) == 0
@@ -32,19 +30,17 @@ def whole(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 @pytest.fixture
-def gallery(whole: Path, tmp_path: Path) -> Path:
+def gallery(whole, tmp_path):
     """The same, to be changed."""
     return Path(shutil.copy(whole, tmp_path / "people.skg"))
 
 
-def who(capsys, gallery: Path, *more: object) -> list[tuple[str, str, str]]:
+def who(capsys, gallery, *more):
     captures = facts_of(capsys, f"gallery list {gallery}", *more)["captures"]
     return [(capture["person"], capture["finger"], capture["session"]) for capture in captures]
 
 
-def test_a_gallery_begins_with_its_first_finger(
-    people_folder: Path, tmp_path: Path, capsys
-) -> None:
+def test_a_gallery_begins_with_its_first_finger(people_folder, tmp_path, capsys):
     source = people_folder / "S01/session_1/right_index"
     arguments = ("--person", "Zoe\u0308 Example", "--finger", "right_index")
     facts = facts_of(capsys, f"enroll {tmp_path}/g.skg {source}", *arguments)
@@ -70,7 +66,7 @@ def test_a_gallery_begins_with_its_first_finger(
 
 
 @pytest.mark.slow
-def test_several_sources_are_sessions(people_folder: Path, tmp_path: Path, capsys) -> None:
+def test_several_sources_are_sessions(people_folder, tmp_path, capsys):
     first, second = (people_folder / f"S02/session_{k}/right_index" for k in (1, 2))
     finger = ("--person", "Bob", "--finger", "right_index")
     words = words_of(capsys, f"enroll {tmp_path}/g.skg {first}/height.npz {second}", *finger)
@@ -88,25 +84,16 @@ def test_several_sources_are_sessions(people_folder: Path, tmp_path: Path, capsy
     assert "already" in refusal
     assert "--replace" in refusal
     facts_of(
-        capsys,
-        f"enroll {tmp_path}/g.skg {first}/print.png",
-        *finger,
-        "--session",
-        "2",
-        "--replace",
+        capsys, f"enroll {tmp_path}/g.skg {first}/print.png", *finger, "--session", "2", "--replace"
     )
     assert [
         capture["kind"]
         for capture in facts_of(capsys, f"gallery list {tmp_path}/g.skg")["captures"]
-    ] == [
-        "result",
-        "print",
-        "print",
-    ]
+    ] == ["result", "print", "print"]
 
 
 @pytest.mark.parametrize("grey", [0, 255])
-def test_a_print_without_ridges_is_not_enrolled(grey: int, tmp_path: Path, capsys) -> None:
+def test_a_print_without_ridges_is_not_enrolled(grey, tmp_path, capsys):
     write_print_png(tmp_path / "a.png", np.full((400, 300), grey, np.uint8))
     whose = ("--person", "Ann", "--finger", "left_ring")
     refusal = refusal_of(capsys, f"enroll {tmp_path}/g.skg {tmp_path}/a.png", *whose)
@@ -114,7 +101,7 @@ def test_a_print_without_ridges_is_not_enrolled(grey: int, tmp_path: Path, capsy
     assert not (tmp_path / "g.skg").exists()
 
 
-def test_a_failure_to_acquire_is_kept_as_such(people_folder: Path, tmp_path: Path, capsys) -> None:
+def test_a_failure_to_acquire_is_kept_as_such(people_folder, tmp_path, capsys):
     (tmp_path / "none.skt").write_bytes(b"")
     arguments = (
         "enroll",
@@ -133,9 +120,7 @@ def test_a_failure_to_acquire_is_kept_as_such(people_folder: Path, tmp_path: Pat
     assert "failure to acquire" in words_of(capsys, f"gallery list {tmp_path}/g.skg")
 
 
-def test_a_population_with_one_call(
-    people_folder: Path, whole: Path, tmp_path: Path, capsys
-) -> None:
+def test_a_population_with_one_call(people_folder, whole, tmp_path, capsys):
     assert who(capsys, whole) == [
         (person, finger, session)
         for person, finger in (
@@ -151,7 +136,7 @@ def test_a_population_with_one_call(
 
 
 @pytest.mark.slow
-def test_a_population_of_prints(people_folder: Path, tmp_path: Path, capsys) -> None:
+def test_a_population_of_prints(people_folder, tmp_path, capsys):
     for picture in people_folder.glob("*/*/*/print.png"):
         copy = tmp_path / "prints" / picture.parent.relative_to(people_folder).with_suffix(".png")
         copy.parent.mkdir(parents=True, exist_ok=True)
@@ -165,9 +150,7 @@ def test_a_population_of_prints(people_folder: Path, tmp_path: Path, capsys) -> 
     assert "are of one finger and session" in words
 
 
-def test_a_population_goes_on_where_it_was_stopped(
-    people_folder: Path, tmp_path: Path, capsys, monkeypatch
-) -> None:
+def test_a_population_goes_on_where_it_was_stopped(people_folder, tmp_path, capsys, monkeypatch):
     from splitknit_match.batch import enrol as enrolling_population
 
     file, calls = tmp_path / "g.skg", []
@@ -190,7 +173,7 @@ def test_a_population_goes_on_where_it_was_stopped(
     assert (again["known"], again["new"]) == (6, 0)
 
 
-def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path, capsys) -> None:
+def test_failures_and_damage_in_a_population(people_folder, tmp_path, capsys):
     folder, file = tmp_path / "people", tmp_path / "g.skg"
     for name in (
         "S01/session_1/left_thumb",
@@ -221,9 +204,7 @@ def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path
     assert len(who(capsys, file)) == 3
 
 
-def test_a_capture_without_a_finger_is_a_failure_not_an_error(
-    twin_folder: Path, monkeypatch
-) -> None:
+def test_a_capture_without_a_finger_is_a_failure_not_an_error(twin_folder, monkeypatch):
     from splitknit_match.gallery import gallery
 
     def refuses(path, *rest, **more):
@@ -236,7 +217,7 @@ def test_a_capture_without_a_finger_is_a_failure_not_an_error(
     assert capture.source_sha256 == gallery.source_hash(twin_folder)
 
 
-def test_a_capture_is_its_files_without_the_truth(twin_folder: Path, tmp_path: Path) -> None:
+def test_a_capture_is_its_files_without_the_truth(twin_folder, tmp_path):
     from splitknit_match.gallery.gallery import source_hash
 
     copy = Path(shutil.copytree(twin_folder, tmp_path / "copy"))
@@ -247,7 +228,7 @@ def test_a_capture_is_its_files_without_the_truth(twin_folder: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path, capsys) -> None:
+def test_workers_change_nothing(people_folder, whole, tmp_path, capsys):
     facts = facts_of(capsys, f"enroll {tmp_path}/g.skg --population {people_folder} --workers", 2)
     assert facts["new"] == 6
     for file in (whole, tmp_path / "g.skg"):
@@ -263,9 +244,7 @@ def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path
     assert serial == parallel
 
 
-def test_a_gallery_that_others_can_read_gets_a_note(
-    whole: Path, tmp_path: Path, capsys, monkeypatch
-) -> None:
+def test_a_gallery_that_others_can_read_gets_a_note(whole, tmp_path, capsys, monkeypatch):
     file = tmp_path / "g.skg"
     file.write_bytes(whole.read_bytes())
     for mode, noted in ((0o600, False), (0o644, True)):
@@ -275,7 +254,7 @@ def test_a_gallery_that_others_can_read_gets_a_note(
 
 
 @pytest.mark.slow
-def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_an_encrypted_gallery(people_folder, tmp_path, capsys, monkeypatch):
     pytest.importorskip("sqlcipher3")
     file, key = tmp_path / "g.skg", tmp_path / "key"
     key.write_text(PHRASE + "\n")
@@ -309,7 +288,7 @@ def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monke
     assert "is not encrypted; leave the key out" in refusal
 
 
-def test_what_is_removed_is_gone(gallery: Path, capsys) -> None:
+def test_what_is_removed_is_gone(gallery, capsys):
     assert b"S02" in gallery.read_bytes()
     facts = facts_of(capsys, f"gallery remove {gallery} --person S02")
     assert (facts["removed"], facts["captures"]) == (2, 4)
@@ -324,7 +303,7 @@ def test_what_is_removed_is_gone(gallery: Path, capsys) -> None:
     assert [path.name for path in gallery.parent.iterdir()] == [gallery.name]
 
 
-def test_export_and_import(gallery: Path, tmp_path: Path, capsys) -> None:
+def test_export_and_import(gallery, tmp_path, capsys):
     out = tmp_path / "out"
     assert "not encrypted" in words_of(capsys, f"gallery export {gallery} --out {out}")
     assert stat.S_IMODE(out.stat().st_mode) == 0o700
@@ -346,7 +325,7 @@ def test_export_and_import(gallery: Path, tmp_path: Path, capsys) -> None:
     assert match["similarity"] == pytest.approx(1, abs=1e-3)
 
 
-def test_a_name_is_no_formula_in_an_exported_table(gallery: Path, tmp_path: Path, capsys) -> None:
+def test_a_name_is_no_formula_in_an_exported_table(gallery, tmp_path, capsys):
     name = '=HYPERLINK("http://x","open")'
     out = tmp_path / "out"
     facts_of(capsys, f"gallery export {gallery} --out {out}")
@@ -401,9 +380,7 @@ def test_a_name_is_no_formula_in_an_exported_table(gallery: Path, tmp_path: Path
         ("templates/0003.skt", None, "line 4: .*does not exist"),
     ],
 )
-def test_a_damaged_export_is_not_imported(
-    whole: Path, tmp_path: Path, capsys, *, file, change, words
-) -> None:
+def test_a_damaged_export_is_not_imported(whole, tmp_path, capsys, *, file, change, words):
     out = tmp_path / "out"
     facts_of(capsys, f"gallery export {whole} --out {out}")
     data = (out / file).read_bytes()
@@ -415,9 +392,7 @@ def test_a_damaged_export_is_not_imported(
 
 
 @pytest.mark.parametrize("name", ["templates/0001.skt", "gallery.csv"])
-def test_an_export_with_a_link_is_not_imported(
-    whole: Path, tmp_path: Path, capsys, *, name: str
-) -> None:
+def test_an_export_with_a_link_is_not_imported(whole, tmp_path, capsys, *, name):
     out, away = tmp_path / "out", tmp_path / "away"
     facts_of(capsys, f"gallery export {whole} --out {out}")
     away.mkdir()
@@ -437,35 +412,14 @@ def test_an_export_with_a_link_is_not_imported(
         ("enroll NEW --person A --finger right_index", "name a capture"),
         ("enroll NEW SOURCE --person A --finger nose", "is not a finger"),
         ("enroll NEW SOURCE --person '' --finger right_index", "person's name"),
-        (
-            "enroll NEW SOURCE --person A --finger right_index --session 'a b'",
-            "a session",
-        ),
-        (
-            "enroll NEW SOURCE SOURCE --person A --finger right_index --session 1",
-            "one so",
-        ),
+        ("enroll NEW SOURCE --person A --finger right_index --session 'a b'", "a session"),
+        ("enroll NEW SOURCE SOURCE --person A --finger right_index --session 1", "one so"),
         ("enroll NEW NOWHERE --person A --finger right_index", "there is no"),
-        (
-            "enroll NOWHERE/g SOURCE --person A --finger right_index",
-            "there is no folder",
-        ),
-        (
-            "enroll TEXT SOURCE --person A --finger right_index",
-            "is not a gallery",
-        ),
-        (
-            "enroll FOLDER SOURCE --person A --finger right_index",
-            "is not a file",
-        ),
-        (
-            "enroll NEW SOURCE --person A --finger right_index --key-file NOWHERE",
-            "key file",
-        ),
-        (
-            "enroll NEW SOURCE --person A --finger right_index --workers 2",
-            "--population",
-        ),
+        ("enroll NOWHERE/g SOURCE --person A --finger right_index", "there is no folder"),
+        ("enroll TEXT SOURCE --person A --finger right_index", "is not a gallery"),
+        ("enroll FOLDER SOURCE --person A --finger right_index", "is not a file"),
+        ("enroll NEW SOURCE --person A --finger right_index --key-file NOWHERE", "key file"),
+        ("enroll NEW SOURCE --person A --finger right_index --workers 2", "--population"),
         ("enroll NEW --population FOLDER", "holds nothing to enrol"),
         ("enroll NEW --population NOWHERE", "there is no folder"),
         ("enroll NEW --population FOLDER --person A", "does not go with"),
@@ -477,9 +431,7 @@ def test_an_export_with_a_link_is_not_imported(
         ("gallery import NEW FOLDER", "is not an export"),
     ],
 )
-def test_bad_input_is_one_sentence(
-    people_folder: Path, whole: Path, tmp_path, capsys, *, arguments, words
-) -> None:
+def test_bad_input_is_one_sentence(people_folder, whole, tmp_path, capsys, *, arguments, words):
     (tmp_path / "TEXT").write_text("hello")
     (tmp_path / "FOLDER").mkdir()
     names = {"SOURCE": people_folder / "S02/session_1/right_index", "WHOLE": whole}

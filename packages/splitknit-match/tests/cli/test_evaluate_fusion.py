@@ -1,10 +1,7 @@
 """``splitknit evaluate --fuse``: one system more."""
 
-from __future__ import annotations
-
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +10,7 @@ from splitknit.cli.main import main
 from splitknit_match.evaluation.protocol import comparisons
 
 
-def write(path: Path, seed: int, *, ids: bool = True, subjects: bool = True) -> Path:
+def write(path, seed, *, ids=True, subjects=True):
     """Twelve subjects, two fingers each, two sessions; errors by `seed`, every fiftieth score
     missing."""
     rng = np.random.default_rng(seed)
@@ -34,7 +31,7 @@ def write(path: Path, seed: int, *, ids: bool = True, subjects: bool = True) -> 
     return path
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+def run(capsys, *arguments):
     code = main(["evaluate", "--replicates", "20", *map(str, arguments)])
     printed = capsys.readouterr()
     return code, printed.out, printed.err
@@ -42,7 +39,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, st
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["linear", "trained", "minmax"])
-def test_the_fusion_stands_in_the_report(tmp_path: Path, capsys, method: str) -> None:
+def test_the_fusion_stands_in_the_report(tmp_path, capsys, method):
     files = [write(tmp_path / f"s{k}.csv", k) for k in (1, 2)]
     code, out, _ = run(
         capsys, "--scores", *files, "--fuse", method, "--out", tmp_path / "report", "--json"
@@ -67,7 +64,7 @@ def test_the_fusion_stands_in_the_report(tmp_path: Path, capsys, method: str) ->
 
 
 @pytest.mark.slow
-def test_files_of_several_traits(tmp_path: Path, capsys) -> None:
+def test_files_of_several_traits(tmp_path, capsys):
     files = [write(tmp_path / f"s{k}.csv", k) for k in (1, 2)]
     code, out, _ = run(capsys, "--fuse", *files, "--out", tmp_path / "report", "--json")
     assert code == 0
@@ -78,7 +75,7 @@ def test_files_of_several_traits(tmp_path: Path, capsys) -> None:
     assert {system["bootstrap"]["method"] for system in facts["systems"].values()} == {"subject"}
 
 
-def test_fingers_alone_are_said_to_be_less(tmp_path: Path, capsys) -> None:
+def test_fingers_alone_are_said_to_be_less(tmp_path, capsys):
     files = [write(tmp_path / f"s{k}.csv", k, subjects=False) for k in (1, 2)]
     code, out, _ = run(capsys, "--scores", *files, "--fuse", "linear", "--out", tmp_path / "report")
     assert code == 0
@@ -94,7 +91,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_what_cannot_be_fused_is_one_sentence(tmp_path: Path, capsys, case: str) -> None:
+def test_what_cannot_be_fused_is_one_sentence(tmp_path, capsys, case):
     files = [write(tmp_path / "s1.csv", 1, ids=case != "nameless")]
     if case == "nameless":
         files.append(write(tmp_path / "s2.csv", 2, ids=False))

@@ -1,7 +1,5 @@
 """``splitknit evaluate --gallery``: every session against every other, and the scores as a file."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil
@@ -20,20 +18,20 @@ QUICK = ("--replicates", 40)
 
 
 @pytest.fixture(scope="module")
-def gallery(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def gallery(people_folder, tmp_path_factory):
     """Three fingers in two sessions; not to be changed."""
     file = tmp_path_factory.mktemp("evaluate") / "people.skg"
     assert main(f"enroll {file} --population {people_folder}".split()) == 0
     return file
 
 
-def table_of(folder: Path) -> list[dict[str, str]]:
+def table_of(folder):
     with (folder / "scores.csv").open(newline="") as stream:
         return list(csv.DictReader(stream))
 
 
 @pytest.mark.slow
-def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> None:
+def test_all_sessions_with_each_other(gallery, tmp_path, capsys):
     facts = facts_of(capsys, f"evaluate --gallery {gallery} --out {tmp_path}/report", *QUICK)
     assert facts["system"] == "people"
     counts = facts["systems"]["people"]["comparisons"]
@@ -64,22 +62,19 @@ def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> 
         assert row["label"] == str(int(same))
     # anyone can evaluate the table again
     again = facts_of(
-        capsys,
-        f"evaluate --scores {tmp_path}/report/scores.csv --out",
-        tmp_path / "again",
-        *QUICK,
+        capsys, f"evaluate --scores {tmp_path}/report/scores.csv --out", tmp_path / "again", *QUICK
     )
     for name in ("eer", "gar_at_far"):
         assert again[name] == facts[name]
 
 
-def test_blocks_change_nothing(gallery: Path, monkeypatch) -> None:
+def test_blocks_change_nothing(gallery, monkeypatch):
     whole = evaluation_gallery.gallery_scores(gallery)
     monkeypatch.setattr(evaluation_gallery, "KEPT_FINGERS", 1)
     assert evaluation_gallery.gallery_scores(gallery).table == whole.table
 
 
-def test_failures_to_acquire_give_no_score(gallery: Path, tmp_path: Path, capsys) -> None:
+def test_failures_to_acquire_give_no_score(gallery, tmp_path, capsys):
     file = Path(shutil.copy(gallery, tmp_path / "g.skg"))
     (tmp_path / "none.skt").write_bytes(b"")
     finger = ("--person", "S02", "--finger", "right_index", "--session", "2")
@@ -100,7 +95,7 @@ def test_failures_to_acquire_give_no_score(gallery: Path, tmp_path: Path, capsys
 
 
 @pytest.mark.slow
-def test_no_name_leaves_an_encrypted_gallery(gallery: Path, tmp_path: Path, capsys) -> None:
+def test_no_name_leaves_an_encrypted_gallery(gallery, tmp_path, capsys):
     pytest.importorskip("sqlcipher3")
     file = tmp_path / "g.skg"
     (tmp_path / "key").write_text("0a" * 32)
@@ -120,7 +115,7 @@ def test_no_name_leaves_an_encrypted_gallery(gallery: Path, tmp_path: Path, caps
     )
 
 
-def test_bad_input_is_one_sentence(gallery: Path, tmp_path: Path, capsys) -> None:
+def test_bad_input_is_one_sentence(gallery, tmp_path, capsys):
     single = Path(shutil.copy(gallery, tmp_path / "one.skg"))
     for person in ("S01", "S02"):
         facts_of(capsys, f"gallery remove {single} --person {person} --session 2")

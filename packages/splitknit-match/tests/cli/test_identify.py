@@ -1,7 +1,5 @@
 """``splitknit identify``: the right one first, what that means, and nobody where it is nobody."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from splitknit_match.matching.methods import rate, similarity_at
 
 
 @pytest.fixture(scope="module")
-def gallery(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def gallery(people_folder, tmp_path_factory):
     """First sessions of three fingers, second of one, and a failure to acquire; not to be
     changed."""
     folder = tmp_path_factory.mktemp("identify")
@@ -31,12 +29,12 @@ def gallery(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 @pytest.fixture
-def probe(people_folder: Path) -> Path:
+def probe(people_folder):
     """Bob comes back."""
     return people_folder / "S02/session_2/right_index"
 
 
-def test_the_right_one_is_first(gallery: Path, probe: Path, capsys) -> None:
+def test_the_right_one_is_first(gallery, probe, capsys):
     facts = facts_of(capsys, f"identify {gallery} {probe}")
     first, second = facts["candidates"]
     assert (first["rank"], first["person"], first["finger"], first["session"]) == (
@@ -65,7 +63,7 @@ def test_the_right_one_is_first(gallery: Path, probe: Path, capsys) -> None:
     assert first["similarity"] == pytest.approx(match["similarity"], abs=1e-9)
 
 
-def test_nobody_is_a_fact(gallery: Path, probe: Path, tmp_path: Path, capsys) -> None:
+def test_nobody_is_a_fact(gallery, probe, tmp_path, capsys):
     file = Path(shutil.copy(gallery, tmp_path / "g.skg"))
     facts_of(capsys, f"gallery remove {file} --person Bob")
     facts = facts_of(capsys, f"identify {file} {probe}")
@@ -82,12 +80,10 @@ def test_nobody_is_a_fact(gallery: Path, probe: Path, tmp_path: Path, capsys) ->
     assert "nothing to compare with" in words_of(capsys, f"identify {file} {probe}")
 
 
-def test_one_candidate_for_a_person_a_finger_or_a_capture(
-    gallery: Path, people_folder: Path, capsys
-) -> None:
+def test_one_candidate_for_a_person_a_finger_or_a_capture(gallery, people_folder, capsys):
     probe = people_folder / "S01/session_1/left_thumb"
 
-    def names_of(*more: object) -> list[str]:
+    def names_of(*more):
         candidates = facts_of(capsys, f"identify {gallery} {probe}", *more)["candidates"]
         assert [candidate["rank"] for candidate in candidates] == list(
             range(1, len(candidates) + 1)
@@ -111,7 +107,7 @@ def test_one_candidate_for_a_person_a_finger_or_a_capture(
     assert names_of("--finger", "right_index", "--merge", "finger") == by_finger[1:]
 
 
-def test_verification(gallery: Path, probe: Path, capsys) -> None:
+def test_verification(gallery, probe, capsys):
     claim = ("--person", "Bob", "--finger", "right_index")
     facts = facts_of(capsys, f"identify {gallery} {probe}", *claim)
     assert facts["mode"] == "verification"
@@ -123,7 +119,7 @@ def test_verification(gallery: Path, probe: Path, capsys) -> None:
     assert facts_of(capsys, f"identify {gallery} {probe}", *false)["searched"]["compared"] == 3
 
 
-def test_decisions_at_other_rates(gallery: Path, probe: Path, tmp_path: Path, capsys) -> None:
+def test_decisions_at_other_rates(gallery, probe, tmp_path, capsys):
     file = Path(shutil.copy(gallery, tmp_path / "g.skg"))
     facts_of(capsys, f"gallery remove {file} --person Bob")
     best = facts_of(capsys, f"identify {file} {probe}")["candidates"][0]
@@ -134,7 +130,7 @@ def test_decisions_at_other_rates(gallery: Path, probe: Path, tmp_path: Path, ca
     assert strict["decision"]["threshold"] > best["similarity"] >= lenient["decision"]["threshold"]
 
 
-def test_failures_to_acquire_match_nobody(gallery: Path, tmp_path: Path, capsys) -> None:
+def test_failures_to_acquire_match_nobody(gallery, tmp_path, capsys):
     (tmp_path / "none.skt").write_bytes(b"")
     facts = facts_of(capsys, f"identify {gallery} {tmp_path}/none.skt")
     assert facts["candidates"] == []
@@ -152,10 +148,7 @@ def test_failures_to_acquire_match_nobody(gallery: Path, tmp_path: Path, capsys)
         ("GALLERY NOWHERE", "there is no"),
         ("PROBE GALLERY", "is not a file"),
         ("GALLERY PROBE --person Nobody", "holds nothing of person 'Nobody'"),
-        (
-            "GALLERY PROBE --person Bob --finger left_thumb",
-            "person 'Bob' and finger 'left_thumb'",
-        ),
+        ("GALLERY PROBE --person Bob --finger left_thumb", "person 'Bob' and finger 'left_thumb'"),
         ("GALLERY PROBE --finger nose", "is not a finger"),
         ("GALLERY PROBE --fmr 0", "--fmr must lie"),
         ("GALLERY PROBE --fmr nan", "--fmr must lie"),
@@ -164,9 +157,7 @@ def test_failures_to_acquire_match_nobody(gallery: Path, tmp_path: Path, capsys)
         ("GALLERY PROBE --set search.candidates=0", "--set"),
     ],
 )
-def test_bad_input_is_one_sentence(
-    gallery: Path, probe: Path, tmp_path: Path, capsys, *, arguments, words
-) -> None:
+def test_bad_input_is_one_sentence(gallery, probe, tmp_path, capsys, *, arguments, words):
     names = {"GALLERY": gallery, "PROBE": probe, "NOWHERE": tmp_path / "NOWHERE"}
     assert words in refusal_of(
         capsys, "identify", *(names.get(word, word) for word in arguments.split())

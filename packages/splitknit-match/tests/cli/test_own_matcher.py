@@ -1,7 +1,5 @@
 """Somebody's own matcher and preset: named, never written into the source."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -9,7 +7,8 @@ import numpy as np
 import pytest
 
 import splitknit_match
-from splitknit import BadInput, preset_settings
+from refusals import bad_input
+from splitknit import preset_settings
 from splitknit.cli.main import main
 from splitknit_simulator.finger.master_print import MasterPrintSettings, ink_print, master_print
 
@@ -32,13 +31,13 @@ def broken():
 
 
 @pytest.fixture(autouse=True)
-def module(tmp_path: Path, monkeypatch) -> None:
+def module(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(MODULE)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
 
 
-def test_an_own_matcher_decides_by_its_own_rates(tmp_path: Path, capsys) -> None:
+def test_an_own_matcher_decides_by_its_own_rates(tmp_path, capsys):
     rng = np.random.default_rng(0)
     size = MasterPrintSettings(half_width_mm=7.0, distal_mm=16.0, proximal_mm=1.0)
     pictures = [ink_print(master_print("left_loop", seed, size)) for seed in (1, 2)]
@@ -68,8 +67,8 @@ def test_an_own_matcher_decides_by_its_own_rates(tmp_path: Path, capsys) -> None
     capsys.readouterr()
 
 
-def test_names_that_are_none_are_refused() -> None:
-    with pytest.raises(BadInput, match=r"no matcher 'voted'; known are auto, ridge.*MODULE:NAME"):
+def test_names_that_are_none_are_refused():
+    with bad_input(r"no matcher 'voted'; known are auto, ridge.*MODULE:NAME"):
         splitknit_match.match(
             np.zeros((90, 90), np.uint8),
             np.zeros((90, 90), np.uint8),
@@ -82,12 +81,12 @@ def test_names_that_are_none_are_refused() -> None:
         ("mine:x", "cannot be imported"),
         ("mine:broken", "must return PipelineSettings"),
     ):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             preset_settings(name)
 
 
 @pytest.mark.slow
-def test_a_batch_takes_both(people: Path, tmp_path: Path, capsys) -> None:
+def test_a_batch_takes_both(people, tmp_path, capsys):
     words = f"batch {people} --out {tmp_path}/store --jobs 1 --json".split()
     words += ["--cases", "mine:plain"]
     assert main([*words, "--matchers", "mine:compare"]) == 0

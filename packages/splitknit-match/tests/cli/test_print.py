@@ -1,13 +1,10 @@
 """``splitknit print``: the four methods, their files, what is refused."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -26,7 +23,7 @@ from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_su
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def result(tmp_path_factory):
     """A perfect reconstruction of a whorl, turned a little, with the places of its true
     minutiae."""
     camera = default_rig(0.22).camera
@@ -41,9 +38,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("method", "surface"), [("relief", "plane"), ("unroll", "free"), ("curvature", "plane")]
 )
-def test_all_files_are_written(
-    result: Path, tmp_path: Path, capsys, method: str, surface: str
-) -> None:
+def test_all_files_are_written(result, tmp_path, capsys, method, surface):
     out = tmp_path / "out"
     facts = facts_of(capsys, f"print {result} --method {method} --out {out}")
     wanted = {"print.png", "enhanced.png", "map.npz", "report.html", "report.json", "minutiae.iso"}
@@ -58,7 +53,7 @@ def test_all_files_are_written(
     assert 0.35 < facts["ridge_period_mm"]["median"] < 0.6
 
 
-def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, capsys) -> None:
+def test_true_minutiae_are_found_where_they_are(result, tmp_path, capsys):
     """The stored map takes the true minutiae to the print; most of what is found lies on one of
     them."""
     from scipy.spatial import cKDTree
@@ -86,7 +81,7 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
     assert (cKDTree(extracted).query(mirrored)[0] < 5).mean() < 0.4
 
 
-def test_the_page_has_the_minutiae_on_the_surface(result: Path, tmp_path: Path, capsys) -> None:
+def test_the_page_has_the_minutiae_on_the_surface(result, tmp_path, capsys):
     """Their places are those of the mesh, x right and y to the tip, and they lie on the true
     minutiae."""
     from scipy.spatial import cKDTree
@@ -108,7 +103,7 @@ def test_the_page_has_the_minutiae_on_the_surface(result: Path, tmp_path: Path, 
 
 
 @pytest.mark.slow
-def test_resolution_surface_and_settings(result: Path, tmp_path: Path, capsys) -> None:
+def test_resolution_surface_and_settings(result, tmp_path, capsys):
     coarse = facts_of(capsys, f"print {result} --method relief --out {tmp_path}/a")
     fine = facts_of(capsys, f"print {result} --method relief --ppi 1000 --out {tmp_path}/b")
     assert read_print_png(tmp_path / "b" / "print.png").resolution_ppi == pytest.approx(
@@ -119,16 +114,14 @@ def test_resolution_surface_and_settings(result: Path, tmp_path: Path, capsys) -
         coarse["ridge_period_mm"]["median"], rel=0.02
     )
     wide = facts_of(
-        capsys,
-        f"print {result} --method curvature --surface arc --out",
-        tmp_path / "d",
+        capsys, f"print {result} --method curvature --surface arc --out", tmp_path / "d"
     )
     assert wide["size"][1] > coarse["size"][1]
     assert "distortion" in wide
 
 
 @pytest.mark.slow
-def test_the_threads_of_blas_change_nothing(result: Path, tmp_path: Path) -> None:
+def test_the_threads_of_blas_change_nothing(result, tmp_path):
     """Its kernels without AVX-512, which most processors run, round sums by how threads share
     them."""
     for threads in "12":
@@ -153,14 +146,14 @@ def test_the_threads_of_blas_change_nothing(result: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_the_photograph(twin_folder: Path, tmp_path: Path, capsys) -> None:
+def test_the_photograph(twin_folder, tmp_path, capsys):
     facts = facts_of(capsys, f"print {twin_folder} --method photo --out {tmp_path}/photo")
     assert facts["source"]["kind"] == "capture"
     assert facts["surface"] == "plane"
     assert facts["ridge_area_mm2"] > 150
 
 
-def test_the_photograph_shows_the_ridges(twin_folder: Path) -> None:
+def test_the_photograph_shows_the_ridges(twin_folder):
     """Ridges are dark in it where they are high in the truth."""
     from splitknit.finger.ridges import ink
     from splitknit_match.prints.make import make_print
@@ -177,7 +170,7 @@ def test_the_photograph_shows_the_ridges(twin_folder: Path) -> None:
     assert np.corrcoef(photo.image[middle].ravel(), true[middle].ravel())[0, 1] > 0.3
 
 
-def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Path, capsys) -> None:
+def test_bad_input_is_one_sentence(result, twin_folder, tmp_path, capsys):
     out = tmp_path / "out"
     assert "there is no" in refusal_of(capsys, f"print {tmp_path}/nothing --out {out}")
     (tmp_path / "empty").mkdir()
@@ -188,7 +181,7 @@ def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Pa
     )
     arrays = read_npz(result / "height.npz")
 
-    def changed(name: str, **others: object) -> Path:
+    def changed(name, **others):
         folder = tmp_path / name
         folder.mkdir()
         write_npz(folder / "height.npz", {**arrays, **others})
@@ -216,7 +209,7 @@ def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_ridges_do_not_doubt_a_calibrated_camera(result: Path, tmp_path: Path, capsys) -> None:
+def test_ridges_do_not_doubt_a_calibrated_camera(result, tmp_path, capsys):
     """A finger whose ridges are unusually close keeps the scale that its camera gives it; a print's
     file does not."""
     fine = tmp_path / "fine"
@@ -234,7 +227,7 @@ def test_ridges_do_not_doubt_a_calibrated_camera(result: Path, tmp_path: Path, c
 
 
 @pytest.mark.slow
-def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> None:
+def test_the_report_tells_the_quality(result, tmp_path, capsys):
     """A good finger is called good; a shallow one scores less, and a sentence says what to do."""
     printed = facts_of(capsys, f"print {result} --out {tmp_path}/good")
     good = printed["quality"]
@@ -265,7 +258,7 @@ def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> N
     assert (cast["quality"]["figures"], cast["findings"]) == (weak["figures"], [])
 
 
-def test_advice_is_chosen_by_the_worst_figure() -> None:
+def test_advice_is_chosen_by_the_worst_figure():
     from dataclasses import replace
 
     from splitknit_match.prints.folder import advice
@@ -273,7 +266,7 @@ def test_advice_is_chosen_by_the_worst_figure() -> None:
 
     good = QualityFigures(0.9, 50.0, 0.97, 0.97, 0.5, 0.11, 400.0, 450.0, 24.0, 0.05, 0.3)
 
-    def advice_on(**changes: float) -> tuple[str, ...]:
+    def advice_on(**changes):
         figures = replace(good, **changes)
         return tuple(map(str, advice(PrintQuality(*score_of(figures), figures))))
 

@@ -1,16 +1,12 @@
 """``splitknit print --method rolled``: its files and facts, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rolled_scene as scene
 from enrolled import facts_of, refusal_of
-from splitknit.capture import Capture
 from splitknit.findings import Finding
 from splitknit.io.capture import write_capture
 from splitknit_match.prints.verbs import _print_lines
@@ -18,12 +14,12 @@ from written_files import read_ply
 
 
 @pytest.fixture(scope="module")
-def drawn() -> tuple[Capture, dict[str, np.ndarray]]:
+def drawn():
     return scene.capture(("right",))
 
 
 @pytest.mark.slow
-def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path, capsys, monkeypatch):
     capture, masks = drawn
     write_capture(capture, tmp_path / "capture")
     findings = (Finding("view-cut-off", "the left view is cut off."),)
@@ -52,7 +48,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     assert outwards.mean() > 0.99
 
 
-def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> None:
+def test_a_capture_without_mirrors_is_refused(drawn, tmp_path, capsys):
     capture, _ = drawn
     bare = replace(capture, rig=replace(capture.rig, mirrors=()))
     write_capture(bare, tmp_path / "bare")
@@ -62,22 +58,18 @@ def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> 
     assert not out.exists()
 
 
-def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(
-    tmp_path: Path, capsys
-) -> None:
+def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(tmp_path, capsys):
     message = refusal_of(capsys, f"print {tmp_path} --method rolled --out {tmp_path}/out")
     assert "not a capture folder" in message
     message = refusal_of(
-        capsys,
-        f"print {tmp_path} --method rolled --surface plane --out",
-        tmp_path / "out",
+        capsys, f"print {tmp_path} --method rolled --surface plane --out", tmp_path / "out"
     )
     assert "cannot be printed on the plane" in message
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
-def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) -> None:
+def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path, capsys):
     capture, out = tmp_path / "capture", tmp_path / "out"
     finger = ("--seed", 105, "--scale", 0.6, "--no-nir")
     mirrors = ("--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]")

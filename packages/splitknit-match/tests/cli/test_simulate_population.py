@@ -1,8 +1,6 @@
 """``splitknit simulate population``: laid out as an enrolment, the same however it was made,
 resumable."""
 
-from __future__ import annotations
-
 import csv
 import fcntl
 import hashlib
@@ -26,7 +24,7 @@ from splitknit.io.images import write_image
 from splitknit.io.npz import read_npz
 from splitknit.settings import override
 from splitknit_simulator.finger.master_print import ink_print, master_print
-from splitknit_simulator.population.folder import _jobs_of, _population_hash, choose_prints
+from splitknit_simulator.population.folder import _population_hash, choose_prints
 from splitknit_simulator.population.sessions import PopulationSettings, population_capture
 
 SMALL = (
@@ -39,19 +37,18 @@ SMALL = (
     "--sessions",
     "2",
 )
-Captured = pytest.CaptureFixture[str]
 
 
-def words(out: Path, *more: str, small: tuple[str, ...] = SMALL) -> list[str]:
+def words(out, *more, small=SMALL):
     return [*f"simulate population --out {out}".split(), *small, *more]
 
 
-def refused(capsys: Captured, *arguments: str) -> str:
+def refused(capsys, *arguments):
     capsys.readouterr()
     return refusal_of(capsys, *arguments)
 
 
-def digests(folder: Path) -> dict[str, str]:
+def digests(folder):
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*"))
@@ -60,14 +57,14 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def population(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def population(tmp_path_factory):
     """Two people, two fingers, two sessions, by one process."""
     out = tmp_path_factory.mktemp("population") / "made"
     assert main(words(out, "--workers", "1")) == 0
     return out
 
 
-def test_it_is_laid_out_as_an_enrolment(population: Path) -> None:
+def test_it_is_laid_out_as_an_enrolment(population):
     enrolment = open_enrolment(population)
     assert (enrolment.plan.subjects, enrolment.plan.sessions) == (2, 2)
     assert enrolment.plan.fingers == ("right_index", "left_thumb")
@@ -94,7 +91,7 @@ def test_it_is_laid_out_as_an_enrolment(population: Path) -> None:
     assert document["settings_sha256"] == _population_hash(PopulationSettings(scale=0.08))
 
 
-def test_the_table_lists_all_captures(population: Path) -> None:
+def test_the_table_lists_all_captures(population):
     rows = list(csv.DictReader((population / "population.csv").read_text().splitlines()))
     assert [row["folder"] for row in rows] == [
         place.folder for place in open_enrolment(population).places()
@@ -107,9 +104,7 @@ def test_the_table_lists_all_captures(population: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_run_goes_on_with_other_workers_to_the_same_bytes(
-    population: Path, tmp_path: Path
-) -> None:
+def test_a_killed_run_goes_on_with_other_workers_to_the_same_bytes(population, tmp_path):
     out = tmp_path / "killed"
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     run = subprocess.Popen(
@@ -148,9 +143,7 @@ def test_a_killed_run_goes_on_with_other_workers_to_the_same_bytes(
 
 
 @pytest.mark.slow
-def test_a_table_that_is_not_ours_and_links_are_not_written(
-    population: Path, tmp_path: Path, capsys: Captured
-):
+def test_a_table_that_is_not_ours_and_links_are_not_written(population, tmp_path, capsys):
     out, mine = tmp_path / "people", tmp_path / "mine.csv"
     shutil.copytree(population, out)
     mine.write_text("my own")
@@ -173,7 +166,7 @@ def test_a_table_that_is_not_ours_and_links_are_not_written(
     assert mine.read_text() == "my own"
 
 
-def list_of_processes(out: Path) -> list[str]:
+def list_of_processes(out):
     """Processes whose command line or parent's names `out`; spawned workers name only their
     parent's pipe."""
     alive = []
@@ -193,7 +186,7 @@ def list_of_processes(out: Path) -> list[str]:
 
 
 @pytest.mark.slow
-def test_a_plan_may_grow(population: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_a_plan_may_grow(population, tmp_path, capsys):
     out = tmp_path / "grown"
     shutil.copytree(population, out)
     capsys.readouterr()
@@ -214,7 +207,7 @@ def test_a_plan_may_grow(population: Path, tmp_path: Path, capsys: Captured) -> 
     assert all(after[name] == digest for name, digest in before.items() if name.startswith("S"))
 
 
-def test_finished_populations_are_left_alone(population: Path, capsys: Captured) -> None:
+def test_finished_populations_are_left_alone(population, capsys):
     before = digests(population)
     assert main(f"simulate population --out {population} --scale 0.08 --json".split()) == 0
     facts = json.loads(capsys.readouterr().out)
@@ -222,7 +215,7 @@ def test_finished_populations_are_left_alone(population: Path, capsys: Captured)
     assert digests(population) == before
 
 
-def test_other_settings_are_refused(population: Path, capsys: Captured) -> None:
+def test_other_settings_are_refused(population, capsys):
     before = digests(population)
     assert "other settings (scale)" in refused(
         capsys, *words(population, small=("--scale", "0.09"))
@@ -234,13 +227,13 @@ def test_other_settings_are_refused(population: Path, capsys: Captured) -> None:
     assert digests(population) == before
 
 
-def test_settings_change_the_hash_and_threads_do_not() -> None:
+def test_settings_change_the_hash_and_threads_do_not():
     settings = PopulationSettings()
     assert _population_hash(override(settings, {"render.workers": 7})) == _population_hash(settings)
     assert _population_hash(override(settings, {"people.men": 0.4})) != _population_hash(settings)
 
 
-def test_what_cannot_be_a_population_is_refused(tmp_path: Path, capsys: Captured) -> None:
+def test_what_cannot_be_a_population_is_refused(tmp_path, capsys):
     enrolment = tmp_path / "other"
     open_enrolment(enrolment, subjects=1, sessions=1)
     (enrolment / "S01" / "session_1" / "right_index").mkdir(parents=True)
@@ -264,32 +257,21 @@ def test_what_cannot_be_a_population_is_refused(tmp_path: Path, capsys: Captured
     assert "it is damaged" in refused(capsys, *words(damaged))
 
 
-def test_two_runs_do_not_write_one_population(population: Path, capsys: Captured) -> None:
+def test_two_runs_do_not_write_one_population(population, capsys):
     with (population / "population.json").open("rb") as stream:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         assert "another run is simulating" in refused(capsys, *words(population))
 
 
-def test_a_damaged_capture_is_named(population: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_a_damaged_capture_is_named(population, tmp_path, capsys):
     out = tmp_path / "spoilt"
     shutil.copytree(population, out)
     (out / "S02" / "session_1" / "left_thumb" / "impression.json").write_text("[1")
     assert "S02/session_1/left_thumb/impression.json' is damaged" in refused(capsys, *words(out))
 
 
-def test_a_finger_is_one_job(tmp_path: Path) -> None:
-    enrolment = open_enrolment(
-        tmp_path / "plan", subjects=2, sessions=3, fingers=("left_ring", "right_ring")
-    )
-    jobs = _jobs_of(enrolment.waiting())
-    assert [len(job) for job in jobs] == [3] * 4
-    assert [(job[0].subject, job[0].finger) for job in jobs] == [
-        ("S01", "left_ring"), ("S01", "right_ring"), ("S02", "left_ring"), ("S02", "right_ring"),
-    ]  # fmt: skip
-
-
 @pytest.mark.slow
-def test_one_finger_is_simulated_as_before(tmp_path: Path, capsys: Captured) -> None:
+def test_one_finger_is_simulated_as_before(tmp_path, capsys):
     for name, what in (("plain", []), ("named", ["finger"])):
         assert (
             main(
@@ -307,7 +289,7 @@ PRINTED = ("--scale", "0.08", "--subjects", "3", "--fingers", "right_index", "--
 
 
 @pytest.fixture(scope="module")
-def prints(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def prints(tmp_path_factory):
     """One real finger in two impressions."""
     folder = tmp_path_factory.mktemp("prints")
     for number, seed in enumerate((5, 6), 1):
@@ -316,9 +298,7 @@ def prints(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_a_third_of_the_fingers_have_ridges_of_real_prints(
-    population: Path, tmp_path: Path, prints: Path, capsys: Captured
-) -> None:
+def test_a_third_of_the_fingers_have_ridges_of_real_prints(population, tmp_path, prints, capsys):
     """One real finger is one finger in all sessions; all else is as without prints, and it goes on
     as it was begun."""
     out = tmp_path / "printed"
@@ -367,9 +347,7 @@ def test_a_third_of_the_fingers_have_ridges_of_real_prints(
     )
 
 
-def test_prints_that_cannot_be_used_are_refused(
-    tmp_path: Path, prints: Path, capsys: Captured
-) -> None:
+def test_prints_that_cannot_be_used_are_refused(tmp_path, prints, capsys):
     out, empty = tmp_path / "out", tmp_path / "empty"
     assert "is not a folder of prints" in refused(capsys, *words(out, "--prints", str(empty)))
     empty.mkdir()
@@ -385,7 +363,7 @@ def test_prints_that_cannot_be_used_are_refused(
 
 
 @pytest.mark.slow
-def test_prints_are_dealt_evenly_and_one_finger_is_one_identity(tmp_path: Path) -> None:
+def test_prints_are_dealt_evenly_and_one_finger_is_one_identity(tmp_path):
     ink = ink_print(master_print("whorl", 5))
     for name in ("a_1", "a_2", "a_10", "b_c_3", "b_c_4", "d"):
         write_image(tmp_path / f"{name}.png", ink)

@@ -8,8 +8,6 @@ to the target, we the largest FAR not above it; the same where the target is rea
 accepted, is missing where that score is an impostor's.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import ndtri
@@ -45,11 +43,11 @@ RECORDED = {
 """By pyeer."""
 
 
-def shared(name: str) -> tuple[np.ndarray, np.ndarray]:
+def shared(name):
     """Genuine and impostor scores without a random generator: the same in every version of
     everything."""
 
-    def normal(count: int, start: float) -> np.ndarray:
+    def normal(count, start):
         return ndtri(np.mod(start + GOLDEN * np.arange(1, count + 1), 1.0))
 
     if name == "real":  # no ties
@@ -60,7 +58,7 @@ def shared(name: str) -> tuple[np.ndarray, np.ndarray]:
     return 40 + normal(200, 0.5), normal(2000, 0.5)  # no overlap
 
 
-def ours(genuine: np.ndarray, impostor: np.ndarray) -> dict[str, float]:
+def ours(genuine, impostor):
     """The same figures by this package."""
     curve = roc(genuine, impostor)
     figures = {"eer": curve.equal_error().value, "auc": curve.auc(), "d_prime": curve.d_prime()}
@@ -70,7 +68,7 @@ def ours(genuine: np.ndarray, impostor: np.ndarray) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", list(RECORDED))
-def test_our_figures_are_pyeers(name: str) -> None:
+def test_our_figures_are_pyeers(name):
     figures = ours(*shared(name))
     for key, value in RECORDED[name].items():
         assert figures[key] == pytest.approx(value, rel=1e-9), key

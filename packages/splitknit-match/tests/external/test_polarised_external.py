@@ -1,7 +1,5 @@
 """A parallel and a crossed series of a finger that was path-traced outside this project."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,19 +9,17 @@ import pytest
 
 import splitknit
 from script_folder import VALIDATION, scripts_of
-from splitknit.capture import Band, Capture
 from splitknit.cli.main import main
 from splitknit.finger.steady import find_steady_finger
 from splitknit.observation.films import specular_of
 from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
-from splitknit.reconstruction import Reconstruction
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def capture(data_dir: Path) -> Capture:
+def capture(data_dir):
     folder = data_dir / "path_traced" / "polarised" / "d17_pol"
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
@@ -31,9 +27,7 @@ def capture(data_dir: Path) -> Capture:
 
 
 @pytest.mark.parametrize("moved_mm", [(0.0, 0.0), (0.2, -0.1)])
-def test_motion_between_the_series_is_measured_to_micrometres(
-    capture: Capture, moved_mm: tuple[float, float]
-) -> None:
+def test_motion_between_the_series_is_measured_to_micrometres(capture, moved_mm):
     """A still finger to 0.004 mm in each shot; a moved one to 0.009 mm, the mean of its shots to
     0.005 mm."""
     px, band = capture.rig.camera.px_per_mm, capture.bands["white_crossed"]
@@ -59,9 +53,7 @@ def test_motion_between_the_series_is_measured_to_micrometres(
     assert np.corrcoef(specular[inside], still[inside])[0, 1] > 0.97
 
 
-def test_prints_of_specular_light_and_of_relief_match(
-    capture: Capture, tmp_path: Path, capsys
-) -> None:
+def test_prints_of_specular_light_and_of_relief_match(capture, tmp_path, capsys):
     result = tmp_path / "result"
     splitknit.reconstruct(capture, "snk").save(result, None)
     folders = [str(tmp_path / method) for method in ("specular", "relief")]
@@ -72,9 +64,7 @@ def test_prints_of_specular_light_and_of_relief_match(
     assert "Match, decided" in capsys.readouterr().out
 
 
-def test_heights_are_measured_where_the_skin_faces_the_camera(
-    capture: Capture, data_dir: Path
-) -> None:
+def test_heights_are_measured_where_the_skin_faces_the_camera(capture, data_dir):
     """0.9995 and 0.96 below 15 degrees, 0.996 and 0.98 up to 30; without films 0.987 and 0.89,
     0.976 and 0.84."""
     result = splitknit.reconstruct(capture)
@@ -91,14 +81,14 @@ def test_heights_are_measured_where_the_skin_faces_the_camera(
     assert 0.7 < figures["error_over_stated"] < 1.2
 
 
-def grey(band: Band) -> Band:
+def grey(band):
     luminance = (band.pixels * np.array([0.2126, 0.7152, 0.0722])).sum(-1, keepdims=True)
     return replace(band, pixels=np.rint(luminance).astype(band.pixels.dtype))
 
 
 def test_heights_of_grey_photographs_are_measured_where_the_skin_faces_the_camera(
-    capture: Capture, data_dir: Path
-) -> None:
+    capture, data_dir
+):
     """0.996, 0.96 and 1.9 um below 15 degrees; from a relief by colour the heights ended at 0.82,
     0.34 and 14 um."""
     bands = {
@@ -112,7 +102,7 @@ def test_heights_of_grey_photographs_are_measured_where_the_skin_faces_the_camer
     assert figures["ridge_rms_um_15_30"] < 3.5
 
 
-def score(result: Reconstruction, data_dir: Path) -> dict[str, float]:
+def score(result, data_dir):
     """Figures against the truth of the path tracer."""
     with np.load(data_dir / "path_traced" / "polarised" / "d17_pol_truth.npz") as file:
         truth = {name: file[name] for name in file.files}

@@ -1,27 +1,24 @@
 """Independent photographs through the whole pipeline, with every preset."""
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from splitknit.capture import Band, Capture
 from splitknit.cli.main import main
 from splitknit.io.capture import write_capture
 from splitknit.io.light_list import read_light_list
 from splitknit.io.photographs import GivenPhotographs
-from splitknit.model import BoolArray, Camera, Led, Rig
+from splitknit.model import Camera, Led, Rig
 from splitknit.observation.observe import observe
 from splitknit.observation.plain import capture_from_photographs
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.pipeline import reconstruct
-from splitknit.reconstruction import Reconstruction
 from splitknit.report.result import FILES
 
 pytestmark = pytest.mark.external
@@ -29,14 +26,14 @@ pytestmark = pytest.mark.external
 PRESETS = ("metric", "snk", "pr", "ea")
 
 
-def needed(path: Path) -> Path:
+def needed(path):
     if not path.exists():
         pytest.skip(f"{path} is absent")
     return path
 
 
 @pytest.fixture(scope="module")
-def bear(data_dir: Path) -> tuple[Capture, np.ndarray]:
+def bear(data_dir):
     """DiLiGenT's bear and its scanned normals."""
     with np.load(needed(data_dir / "diligent" / "bear.npz")) as data:
         names = "images", "lights", "mask", "normals"
@@ -45,9 +42,7 @@ def bear(data_dir: Path) -> tuple[Capture, np.ndarray]:
     return opaque_capture(images, directions, 4.0, mask.astype(bool)), normals
 
 
-def opaque_capture(
-    images: np.ndarray, directions: np.ndarray, px_per_mm: float, mask: BoolArray
-) -> Capture:
+def opaque_capture(images, directions, px_per_mm, mask):
     """White images (L, H, W) under distant lights (L, 3)."""
     count = len(images)
     leds = tuple(Led("white", direction=tuple(towards)) for towards in directions.tolist())
@@ -58,7 +53,7 @@ def opaque_capture(
 
 
 @pytest.fixture(scope="module")
-def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
+def ball(data_dir):
     """The grey ball, and the heights in mm of the sphere that its outline gives."""
     folder = needed(data_dir / "psm_spheres")
     lights = read_light_list(folder / "lights.txt").lights
@@ -80,7 +75,7 @@ def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def phalange(data_dir: Path) -> Capture:
+def phalange(data_dir):
     """The sculpted phalange, at a scale that makes it 16 mm wide."""
     folder = needed(data_dir / "blender_finger" / "phalange")
     lights = read_light_list(folder / "lights.txt").lights
@@ -95,15 +90,15 @@ def phalange(data_dir: Path) -> Capture:
     return capture_from_photographs(photographs)[0]
 
 
-def assert_complete(result: Reconstruction, mask: BoolArray) -> None:
-    np.testing.assert_array_equal(result.mask, mask)  # a given mask is used as it is
+def assert_complete(result, mask):
+    assert_array_equal(result.mask, mask)  # a given mask is used as it is
     for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
-        np.testing.assert_array_equal(np.isfinite(field), mask)
-    np.testing.assert_allclose(np.linalg.norm(result.normals[mask], axis=-1), 1.0, atol=1e-5)
+        assert_array_equal(np.isfinite(field), mask)
+    assert_allclose(np.linalg.norm(result.normals[mask], axis=-1), 1.0, atol=1e-5)
     assert not result.normals[~mask].any()
 
 
-def angle_deg(first: np.ndarray, second: np.ndarray, mask: BoolArray) -> float:
+def angle_deg(first, second, mask):
     return float(np.degrees(np.arccos(np.clip((first * second).sum(axis=-1), -1, 1)))[mask].mean())
 
 
@@ -123,9 +118,7 @@ twice as much."""
         ("pr", {}, 19.6),
     ],
 )
-def test_normals_of_the_bear_are_near_the_scanned_ones(
-    bear: tuple[Capture, np.ndarray], preset: str, changes: dict[str, str], limit_deg: float
-) -> None:
+def test_normals_of_the_bear_are_near_the_scanned_ones(bear, preset, changes, limit_deg):
     """Those of the surface; integration adds less than half a degree to the error of `metric`."""
     capture, truth = bear
     result = reconstruct(capture, preset, changes)
@@ -138,14 +131,14 @@ def test_normals_of_the_bear_are_near_the_scanned_ones(
         assert error < angle_deg(normals, truth, capture.mask) + 0.5
 
 
-def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, np.ndarray]) -> None:
+def test_measured_normals_are_those_of_photometric_stereo(bear):
     """They are kept, as integration adds to the error of `ea`."""
     capture, truth = bear
     result = reconstruct(capture, "ea")
     white = observe(capture).white
     plain, _ = lambertian(white.grey, white.rig.light_vectors(), capture.mask)
     measured = result.normals_measured
-    np.testing.assert_allclose(measured[capture.mask], plain[capture.mask], atol=1e-6)
+    assert_allclose(measured[capture.mask], plain[capture.mask], atol=1e-6)
     error_deg = angle_deg(measured, truth, capture.mask)
     assert error_deg < 8.95
     assert error_deg + 0.2 < angle_deg(result.normals, truth, capture.mask)
@@ -164,12 +157,7 @@ def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, n
         ("pr", {}, 0.105),
     ],
 )
-def test_heights_of_the_ball_are_within_a_few_per_cent_of_its_radius(
-    ball: tuple[Capture, np.ndarray],
-    preset: str,
-    changes: dict[str, str],
-    limit: float,
-) -> None:
+def test_heights_of_the_ball_are_within_a_few_per_cent_of_its_radius(ball, preset, changes, limit):
     """Though the camera's response is unknown and its lens not orthographic."""
     capture, sphere = ball
     result = reconstruct(capture, preset, changes)
@@ -179,7 +167,7 @@ def test_heights_of_the_ball_are_within_a_few_per_cent_of_its_radius(
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, preset: str) -> None:
+def test_the_phalange_is_a_finger_with_ridges(phalange, preset):
     result = reconstruct(phalange, preset)
     assert_complete(result, phalange.mask)
     middle = result.ridge_mm[250:450, 500:700]
@@ -201,9 +189,7 @@ def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, preset: str) ->
 
 
 @pytest.mark.slow
-def test_the_command_line_segments_the_phalange_without_its_mask(
-    phalange: Capture, tmp_path: Path, capsys
-) -> None:
+def test_the_command_line_segments_the_phalange_without_its_mask(phalange, tmp_path, capsys):
     folder, out = tmp_path / "capture", tmp_path / "result"
     write_capture(phalange, folder)
     document = json.loads((folder / "capture.json").read_text())
@@ -234,12 +220,12 @@ def test_the_command_line_segments_the_phalange_without_its_mask(
 GEL_PITCH_MM, BALL_RADIUS_MM = 0.00340346, 0.2475
 
 
-def gel_images(folder: Path) -> np.ndarray:
+def gel_images(folder):
     files = [str(folder / f"image{k:02d}.png") for k in range(7, 13)]
     return np.float32([cv2.imread(file, cv2.IMREAD_GRAYSCALE) for file in files])
 
 
-def cap(x: float, y: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+def cap(x, y):
     """Pixels (n,) of a ball within 0.6 of its radius, and its normals (3, n) there."""
     rows, columns = np.mgrid[int(y - 50) : int(y + 50), int(x - 50) : int(x + 50)]
     u, v = np.array([columns - x, y - rows]) * GEL_PITCH_MM / BALL_RADIUS_MM
@@ -249,7 +235,7 @@ def cap(x: float, y: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
 
 
 @pytest.mark.slow
-def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> None:
+def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir):
     """Caps in um. Lights and ambient are fitted to the balls left of the crop; rims of contact cast
     shadows."""
     folder = needed(data_dir / "elastomer")

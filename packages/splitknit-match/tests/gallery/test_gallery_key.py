@@ -1,17 +1,15 @@
 """Keys: what counts as one, and where it comes from."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_match.gallery.file import Key, key_of
 
 
-def test_kinds_of_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kinds_of_keys(tmp_path, monkeypatch):
     for content, key in (
         (b"0f" * 32 + b"\n", "0f" * 32),
         (b"eight ch\r\n", "eight ch"),
@@ -28,28 +26,28 @@ def test_kinds_of_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "content", [b"", b"seven c\n", b"\xff" * 31, b"two\nlines of text", b"x" * 5000]
 )
-def test_what_is_no_key(tmp_path: Path, content: bytes) -> None:
+def test_what_is_no_key(tmp_path, content):
     (tmp_path / "key").write_bytes(content)
-    with pytest.raises(BadInput, match="holds no key"):
+    with bad_input("holds no key"):
         key_of(tmp_path / "key")
 
 
-def test_keys_are_not_shown() -> None:
+def test_keys_are_not_shown():
     assert "secret" not in repr(Key("secret phrase"))
 
 
 @pytest.mark.slow
-def test_a_key_comes_from_a_pipe(tmp_path: Path) -> None:
+def test_a_key_comes_from_a_pipe(tmp_path):
     """``--key-file <(...)``; one that nobody writes into holds nobody."""
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(BadInput, match="holds no key"):
+    with bad_input("holds no key"):
         key_of(tmp_path / "pipe")
     ours, theirs = os.pipe()
     os.write(theirs, b"a phrase for tests")
     os.close(theirs)
     assert key_of(Path(f"/dev/fd/{ours}")) == Key("a phrase for tests")
     os.close(ours)
-    with pytest.raises(BadInput, match="holds no key"):
+    with bad_input("holds no key"):
         key_of(Path("/dev/zero"))
-    with pytest.raises(BadInput, match="cannot be read"):
+    with bad_input("cannot be read"):
         key_of(Path("/none"))

@@ -1,11 +1,8 @@
 """JSON schemas of verbs: made of the classes, and true of what the verbs print."""
 
-from __future__ import annotations
-
 import json
 import runpy
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -25,7 +22,7 @@ KINDS = {
 }
 
 
-def check(value: Any, schema: dict[str, Any], known: dict[str, Any]) -> None:
+def check(value, schema, known):
     """Hold a value against the part of JSON Schema that is used, with no field that it does not
     name."""
     if "$ref" in schema:
@@ -53,7 +50,7 @@ def check(value: Any, schema: dict[str, Any], known: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_schemas_are_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_schemas_are_true(tmp_path, capsys):
     script = runpy.run_path(str(SCRIPT))
     write_print_png(tmp_path / "a.png", press(1))
     prints, gallery = [str(tmp_path / "a.png")] * 2, str(tmp_path / "g.skg")

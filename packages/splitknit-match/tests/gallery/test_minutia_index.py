@@ -1,15 +1,13 @@
 """The index of minutiae: it finds what comparing all by minutiae finds, in whatever steps it was
 made."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import splitknit_match
-from splitknit import BadInput
+from refusals import bad_input
 from splitknit_match.gallery.file import Entry, NewCapture
 from splitknit_match.gallery.identify import TEMPLATES_HASH
 from splitknit_match.gallery.minutia_index import MinutiaIndex, kept_minutiae
@@ -25,12 +23,7 @@ from test_open_gallery import PPI, press  # isort: skip
 CAPTURES = 300
 
 
-def seen(
-    seed: int,
-    turned: float = 0.0,
-    shift: tuple[float, float] = (0.0, 0.0),
-    again: int | None = None,
-) -> bytes:
+def seen(seed, turned=0.0, shift=(0.0, 0.0), again=None):
     """Template of random minutiae; of another press of the same finger, turned and shifted by
     pixels of 500 ppi."""
     rng = np.random.default_rng(seed)
@@ -61,16 +54,16 @@ def seen(
     return pack(Template(np.zeros(valid.shape, np.uint8), valid, 0.1, minutiae))
 
 
-def cylinders(payload: bytes):
+def cylinders(payload):
     return Prepared(unpack(payload)).cylinders
 
 
 @pytest.fixture(scope="module")
-def gallery() -> dict[int, bytes]:
+def gallery():
     return {10 * k: seen(k) for k in range(CAPTURES)}
 
 
-def test_it_finds_what_comparing_all_finds(gallery) -> None:
+def test_it_finds_what_comparing_all_finds(gallery):
     index = MinutiaIndex(gallery, Path("g.skg"))
     assert len(index) == CAPTURES and not index.others
     for k in range(0, CAPTURES, 25):
@@ -88,7 +81,7 @@ def test_it_finds_what_comparing_all_finds(gallery) -> None:
 
 
 @pytest.mark.slow
-def test_steps_make_no_difference(gallery) -> None:
+def test_steps_make_no_difference(gallery):
     rows = list(gallery)
     first = MinutiaIndex({row: gallery[row] for row in rows[:200]}, Path("g.skg"))
     changed = {row: gallery[row] for row in rows[50:]} | {rows[60]: seen(5000), 9999: b""}
@@ -103,7 +96,7 @@ def test_steps_make_no_difference(gallery) -> None:
     assert stepwise.nearest(cylinders(seen(5000, 2.0, again=8)), 1) == [rows[60]]
 
 
-def test_damaged_minutiae_are_found_anew_or_harm_nothing(gallery) -> None:
+def test_damaged_minutiae_are_found_anew_or_harm_nothing(gallery):
     some = {row: gallery[row] for row in list(gallery)[:20]}
     whole = MinutiaIndex(some, Path("g.skg"))
     entry = whole.minutiae[30]
@@ -115,7 +108,7 @@ def test_damaged_minutiae_are_found_anew_or_harm_nothing(gallery) -> None:
     assert MinutiaIndex(some, Path("g.skg"), known).nearest(probe, 1) == [70]
 
 
-def test_nothing_remains_of_the_minutiae_of_a_removed_finger(gallery, tmp_path: Path) -> None:
+def test_nothing_remains_of_the_minutiae_of_a_removed_finger(gallery, tmp_path):
     file = tmp_path / "g.skg"
     with splitknit_match.Gallery(file) as opened:
         captures = (
@@ -133,16 +126,16 @@ def test_nothing_remains_of_the_minutiae_of_a_removed_finger(gallery, tmp_path: 
     assert minutiae[1][-200:] in left
 
 
-def test_a_prepared_template_is_compared_as_the_template(gallery) -> None:
+def test_a_prepared_template_is_compared_as_the_template(gallery):
     a, b = gallery[10], gallery[20]
     ready = splitknit_match.prepare(a)
     prepared, plain = splitknit_match.match(ready, b), splitknit_match.match(a, b)
     assert (prepared.similarity, prepared.answer) == (plain.similarity, plain.answer)
-    with pytest.raises(BadInput, match="must be bytes"):
+    with bad_input("must be bytes"):
         splitknit_match.prepare("a.skt")
 
 
-def test_few_minutiae_are_compared_always(gallery) -> None:
+def test_few_minutiae_are_compared_always(gallery):
     bare = unpack(gallery[0])
     index = MinutiaIndex(
         {1: pack(Template(bare.level, bare.valid, 0.1)), 2: gallery[10]}, Path("g.skg")
@@ -152,9 +145,7 @@ def test_few_minutiae_are_compared_always(gallery) -> None:
     assert len(empty) == 0 and empty.nearest(cylinders(gallery[0]), 5) == []
 
 
-def test_of_many_those_are_compared_whose_minutiae_agree_best(
-    gallery, tmp_path: Path, monkeypatch
-) -> None:
+def test_of_many_those_are_compared_whose_minutiae_agree_best(gallery, tmp_path, monkeypatch):
     """The exhaustive search, the reference, finds the same who is there."""
     monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
     with splitknit_match.Gallery(tmp_path / "g.skg") as opened:
@@ -175,7 +166,7 @@ def test_of_many_those_are_compared_whose_minutiae_agree_best(
     assert nearest.candidates[0].similarity == exhaustive.candidates[0].similarity
 
 
-def test_where_minutiae_are_sure_ridges_propose_nothing(monkeypatch) -> None:
+def test_where_minutiae_are_sure_ridges_propose_nothing(monkeypatch):
     sides = [
         unpack(held(splitknit_match.make_template(press(1, *how), resolution_ppi=PPI).payload))
         for how in ((), (9, 12.0))

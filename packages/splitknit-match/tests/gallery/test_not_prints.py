@@ -1,23 +1,17 @@
 """What is no print of a finger is not acquired, and what is larger than one costs nothing: refused
 before its band."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 
 import splitknit_match
+from refusals import bad_input
 from splitknit import reconstruct
-from splitknit.errors import BadInput
 from splitknit.finger.ridges import surface_print
 from splitknit.io.prints import write_print_png
 from splitknit_match.matching import inputs
 from splitknit_match.matching.inputs import print_template
-from splitknit_match.matching.template import mirrored
 from splitknit_match.prints.minutiae_record import PPI
 from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_simulator import simulate_capture
@@ -25,26 +19,24 @@ from splitknit_simulator.twin import twin_settings
 
 from test_open_gallery import press  # isort: skip
 
-Grid = np.ndarray
 
-
-def picture(wave: Callable[[Grid, Grid], Grid], seed: int = 0) -> np.ndarray:
+def picture(wave, seed=0):
     """A wave of -1 to 1 on 400 x 400 pixels, with noise."""
     y, x = np.mgrid[:400, :400].astype(np.float32)
     noise = 6 * np.random.default_rng(seed).standard_normal(x.shape)
     return np.clip(127 + 100 * wave(x, y) + noise, 0, 255).astype(np.uint8)
 
 
-def bars(x: Grid, y: Grid) -> Grid:
+def bars(x, y):
     widths = np.random.default_rng(3).integers(1, 4, 400) * 4
     return np.broadcast_to(2.0 * np.repeat(np.arange(400) % 2, widths)[:400] - 1, x.shape)
 
 
-def blocks(x: Grid, y: Grid) -> Grid:
+def blocks(x, y):
     return np.kron(np.random.default_rng(4).integers(0, 2, (50, 50)) * 2.0 - 1, np.ones((8, 8)))
 
 
-def labyrinth(x: Grid, y: Grid) -> Grid:
+def labyrinth(x, y):
     values = np.random.default_rng(5).standard_normal(x.shape).astype(np.float32)
     for _ in range(30):
         narrow, wide = (cv2.GaussianBlur(values, (0, 0), 9 * sigma) for sigma in (0.2, 0.45))
@@ -62,17 +54,15 @@ def labyrinth(x: Grid, y: Grid) -> Grid:
         (blocks, ""),
     ],
 )
-def test_lines_that_are_no_ridges_are_not_acquired(
-    wave: Callable[[Grid, Grid], Grid], words: str
-) -> None:
+def test_lines_that_are_no_ridges_are_not_acquired(wave, words):
     template = print_template(picture(wave))
     assert template.empty
     assert words in template.lacks
 
 
-def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path: Path) -> None:
+def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path):
     stripes = picture(lambda x, y: np.sin(0.7 * x))
-    with pytest.raises(BadInput, match="no print of a finger: its lines run straight on"):
+    with bad_input("no print of a finger: its lines run straight on"):
         splitknit_match.enroll(
             tmp_path / "g.skg", stripes, "Ann", "right_index", resolution_ppi=500
         )
@@ -82,31 +72,26 @@ def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path: Path) -> None:
     assert match.findings[-1].code == "not-a-print"
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_prints_of_fingers_are_acquired(seed: int) -> None:
-    assert not print_template(press(seed)).empty
-
-
 @pytest.mark.parametrize(("axis", "gap"), [(0, 0), (1, 20)], ids=["stacked", "side by side"])
-def test_a_sheet_of_several_prints_is_refused(axis: int, gap: int, tmp_path: Path) -> None:
+def test_a_sheet_of_several_prints_is_refused(axis, gap, tmp_path):
     prints = [np.pad(press(seed)[20:-20, 20:-20], gap // 2, constant_values=255) for seed in (1, 2)]
     sheet, gallery = np.concatenate(prints, axis=axis), tmp_path / "g.skg"
     words = "array: the picture shows prints of several fingers; cut them apart"
     ppi = {"resolution_ppi": 500}
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         splitknit_match.enroll(gallery, sheet, "Ann", "right_index", **ppi)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         splitknit_match.make_template(sheet, **ppi)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         splitknit_match.match(press(1), sheet, **ppi)
     assert not gallery.exists()
     splitknit_match.enroll(gallery, press(1), "Ann", "right_index", **ppi)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         splitknit_match.identify(gallery, sheet, **ppi)
 
 
 @pytest.mark.slow
-def test_a_coarse_capture_whose_delta_is_cut_off_is_one_finger(tmp_path: Path) -> None:
+def test_a_coarse_capture_whose_delta_is_cut_off_is_one_finger(tmp_path):
     """Half a delta at the edge curves as a core does."""
     capture, _ = simulate_capture(3, settings=twin_settings(0.1, {"render.workers": 1}))
     printed = surface_print(reconstruct(capture, "ea"), PPI)
@@ -117,16 +102,14 @@ def test_a_coarse_capture_whose_delta_is_cut_off_is_one_finger(tmp_path: Path) -
     assert enrolment.content.fingers == 1
 
 
-def test_small_prints_are_not_judged_by_their_lines() -> None:
+def test_small_prints_are_not_judged_by_their_lines():
     small = picture(lambda x, y: np.sin(0.7 * x))[:110, :110]
     assert not print_template(small).lacks
 
 
 @pytest.mark.parametrize("verb", ["match", "make_template", "enroll", "identify"])
-def test_a_large_print_is_refused_before_anything_is_made_of_it(
-    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def never(*_: object, **__: object) -> None:
+def test_a_large_print_is_refused_before_anything_is_made_of_it(verb, tmp_path, monkeypatch):
+    def never(*_, **__):
         raise AssertionError("a band was made")
 
     file, gallery = tmp_path / "stripes.png", tmp_path / "g.skg"
@@ -142,18 +125,13 @@ def test_a_large_print_is_refused_before_anything_is_made_of_it(
         "enroll": lambda: splitknit_match.enroll(gallery, file, "Ann", "right_index"),
         "identify": lambda: splitknit_match.identify(gallery, file),
     }
-    with pytest.raises(BadInput, match="larger than a finger's"):
+    with bad_input("larger than a finger's"):
         calls[verb]()
 
 
 @pytest.mark.slow
-def test_a_mirrored_print_is_named(tmp_path: Path) -> None:
+def test_a_mirrored_print_is_named(tmp_path):
     upright, again = press(1), press(1, 9, 12.0)
-    template = print_template(upright)
-    twice = mirrored(mirrored(template))
-    assert np.array_equal(twice.level, template.level)
-    assert twice.minutiae is not None and template.minutiae is not None
-    assert np.array_equal(twice.minutiae.x_px, template.minutiae.x_px)
     flipped = np.ascontiguousarray(again[:, ::-1])
     match = splitknit_match.match(upright, flipped, resolution_ppi=500)
     assert match.answer == "undecided"
@@ -165,7 +143,7 @@ def test_a_mirrored_print_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_finger_named_wrong_gets_a_note(tmp_path: Path) -> None:
+def test_a_finger_named_wrong_gets_a_note(tmp_path):
     gallery = tmp_path / "g.skg"
     splitknit_match.enroll(gallery, press(1), "Ann", "right_index", resolution_ppi=500)
     same = splitknit_match.enroll(

@@ -1,8 +1,6 @@
 """The service over HTTP: its acts, its refusals, its audit file, a client made from its OpenAPI
 document."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import json
@@ -16,12 +14,10 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
-import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.io.prints import encode_print_png
 
 pytest.importorskip("starlette")
@@ -37,12 +33,12 @@ from test_open_gallery import press  # noqa: E402  isort: skip
 TOKEN = "a-token-of-many-letters"
 
 
-def sent(image: np.ndarray) -> str:
+def sent(image):
     return base64.b64encode(encode_print_png(image, 500.0)).decode()
 
 
 @pytest.fixture
-def running(tmp_path: Path):
+def running(tmp_path):
     """The application on a port of this machine, called by a client of another library; and its
     server."""
     with Gallery(tmp_path / "people.skg") as gallery, socket.socket() as place:
@@ -70,14 +66,14 @@ def service(running):
 
 
 @pytest.mark.slow
-def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path: Path) -> None:
+def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path):
     document = service.get("/openapi.json").json()
     assert document == openapi()
 
     class Client:
         """One method for each operation, with the fields that the document has."""
 
-    def method(path: str, schema: dict):
+    def method(path, schema):
         def call(**fields):
             assert set(schema["required"]) <= set(fields) <= set(schema["properties"])
             return service.post(path, json=fields)
@@ -125,7 +121,7 @@ def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path: 
     assert (tmp_path / "audit").stat().st_mode & 0o077 == 0
 
 
-def test_what_is_wrong_is_one_sentence(service, tmp_path: Path) -> None:
+def test_what_is_wrong_is_one_sentence(service, tmp_path):
     good = {"person": "Ann", "finger": "right_index", "print": sent(press(1))}
     assert (
         service.post("/enroll", json=good, headers={"Authorization": "Bearer wrong"}).status_code
@@ -160,7 +156,7 @@ def test_what_is_wrong_is_one_sentence(service, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_broken_requests_do_not_end_it(service) -> None:
+def test_broken_requests_do_not_end_it(service):
     rng = random.Random(4)
     good = json.dumps({"print": sent(press(2))[:4000]}).encode()
     for k in range(120):
@@ -174,7 +170,7 @@ def test_broken_requests_do_not_end_it(service) -> None:
     assert service.get("/openapi.json").status_code == 200
 
 
-def test_faults_say_nothing(service, monkeypatch) -> None:
+def test_faults_say_nothing(service, monkeypatch):
     def broken(*_):
         raise RuntimeError("secret")
 
@@ -184,7 +180,7 @@ def test_faults_say_nothing(service, monkeypatch) -> None:
 
 
 @pytest.mark.slow
-def test_slow_clients_are_let_go_and_no_host_is_believed(service, monkeypatch) -> None:
+def test_slow_clients_are_let_go_and_no_host_is_believed(service, monkeypatch):
     for name in ("serve.PATIENCE_S", "verbs.SILENCE_S"):
         monkeypatch.setattr(f"splitknit_match.gallery.{name}", 0.5)
     place = service.base_url.host, service.base_url.port
@@ -202,8 +198,8 @@ def test_slow_clients_are_let_go_and_no_host_is_believed(service, monkeypatch) -
 
 
 @pytest.mark.slow
-def test_it_is_for_this_machine_and_wants_a_token(tmp_path: Path) -> None:
-    def refused(*words: str) -> str:
+def test_it_is_for_this_machine_and_wants_a_token(tmp_path):
+    def refused(*words):
         run = [
             sys.executable,
             "-m",
@@ -221,14 +217,14 @@ def test_it_is_for_this_machine_and_wants_a_token(tmp_path: Path) -> None:
     assert "give the token" in refused()
     (tmp_path / "token").write_text("short\n")
     assert "16 ASCII characters" in refused("--token-file", str(tmp_path / "token"))
-    with pytest.raises(BadInput, match="16 ASCII characters"):
+    with bad_input("16 ASCII characters"):
         make_app(Gallery(tmp_path / "g.skg"), "short")
-    with pytest.raises(BadInput, match=r"audit file .* cannot be written"):
+    with bad_input(r"audit file .* cannot be written"):
         make_app(Gallery(tmp_path / "g.skg"), TOKEN, tmp_path / "none" / "audit")
 
 
 @pytest.mark.slow
-def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatch) -> None:
+def test_without_its_line_an_act_is_not_done(service, tmp_path, monkeypatch):
     """A full disk: nothing is enrolled, and nothing is answered."""
     good = {"person": "Ann", "finger": "right_index", "print": sent(press(1))}
     before = (tmp_path / "audit").read_bytes()
@@ -239,16 +235,16 @@ def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatc
         return Crowded(stream) if arguments[1] == "ab" else stream
 
     class Crowded(contextlib.AbstractContextManager):
-        def __init__(self, stream) -> None:
+        def __init__(self, stream):
             self.stream = stream
 
-        def __getattr__(self, name: str):
+        def __getattr__(self, name):
             return getattr(self.stream, name)
 
-        def write(self, data: bytes) -> int:
+        def write(self, data):
             return self.stream.write(data[:7])
 
-        def __exit__(self, *_) -> None:
+        def __exit__(self, *_):
             self.stream.close()
 
     with monkeypatch.context() as change:
@@ -270,9 +266,7 @@ def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatc
 
 
 @pytest.mark.slow
-def test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder(
-    service, tmp_path: Path
-) -> None:
+def test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder(service, tmp_path):
     good = {"person": "Ann", "finger": "right_index", "print": sent(press(1))}
     probe = {"print": sent(press(1, 9, 12.0))}
     answers = [service.post("/identify", json=probe), service.post("/enroll", json=good)]
@@ -296,7 +290,7 @@ def test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder(
     ]
 
 
-def test_no_answer_names_a_folder_given_as_relative(tmp_path: Path, monkeypatch) -> None:
+def test_no_answer_names_a_folder_given_as_relative(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "clinic").mkdir()
     with Gallery("clinic/people.skg") as gallery:
@@ -305,7 +299,7 @@ def test_no_answer_names_a_folder_given_as_relative(tmp_path: Path, monkeypatch)
     assert "people.skg" in health["error"] and "clinic" not in health["error"]
 
 
-def test_lines_of_the_audit_file_are_short(service, tmp_path: Path) -> None:
+def test_lines_of_the_audit_file_are_short(service, tmp_path):
     name = "\N{MUSICAL SYMBOL G CLEF}" * 100_000
     fields = {"finger": "right_index", "template": base64.b64encode(b"x").decode(), "person": name}
     answers = [service.post("/enroll", json=fields)]
@@ -320,7 +314,7 @@ def test_lines_of_the_audit_file_are_short(service, tmp_path: Path) -> None:
 
 
 @contextlib.contextmanager
-def served(folder: Path, *words: str, tls: bool = True, before: tuple[str, ...] = ()):
+def served(folder, *words, tls=True, before=()):
     """The command as a process of its own; its port, and where it writes."""
     with socket.socket() as place:
         place.bind(("127.0.0.1", 0))
@@ -350,7 +344,7 @@ def served(folder: Path, *words: str, tls: bool = True, before: tuple[str, ...] 
             process.kill()
 
 
-def certificate(folder: Path) -> list[str]:
+def certificate(folder):
     """Options for TLS with a certificate that is valid for a day."""
     if shutil.which("openssl") is None:
         pytest.skip("no openssl to make a certificate")
@@ -372,7 +366,7 @@ def certificate(folder: Path) -> list[str]:
     return ["--certificate", str(chain), "--certificate-key", str(key)]
 
 
-def connected(port: int, tls: bool) -> socket.socket:
+def connected(port, tls):
     plain = socket.create_connection(("127.0.0.1", port), 10)
     if not tls:
         return plain
@@ -383,7 +377,7 @@ def connected(port: int, tls: bool) -> socket.socket:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tls", [True, False])
-def test_clients_that_are_silent_do_not_hold_the_end(tmp_path: Path, tls: bool) -> None:
+def test_clients_that_are_silent_do_not_hold_the_end(tmp_path, tls):
     with served(tmp_path, tls=tls) as (process, port), contextlib.ExitStack() as stack:
         for _ in range(20):
             stack.enter_context(socket.create_connection(("127.0.0.1", port), 10))
@@ -403,7 +397,7 @@ def test_clients_that_are_silent_do_not_hold_the_end(tmp_path: Path, tls: bool) 
     assert len(log) < 1000 and "Traceback" not in log
 
 
-def test_who_fetches_no_answer_is_let_go(running, monkeypatch) -> None:
+def test_who_fetches_no_answer_is_let_go(running, monkeypatch):
     monkeypatch.setattr("splitknit_match.gallery.verbs.SILENCE_S", 0.2)
     client, server = running
     asked = b"GET /openapi.json HTTP/1.1\r\nHost: a\r\n\r\n" * 4000
@@ -423,7 +417,7 @@ def test_who_fetches_no_answer_is_let_go(running, monkeypatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tls", [True, False])
-def test_silent_connections_do_not_hold_the_door(tmp_path: Path, tls: bool) -> None:
+def test_silent_connections_do_not_hold_the_door(tmp_path, tls):
     """64 of 1100 come in, and are let go before a client's patience ends."""
     with served(tmp_path, tls=tls) as (_, port), contextlib.ExitStack() as stack:
         silent = [
@@ -443,7 +437,7 @@ def test_silent_connections_do_not_hold_the_door(tmp_path: Path, tls: bool) -> N
 
 
 @pytest.mark.slow
-def test_clients_killed_while_they_wait_do_not_hold_the_end(tmp_path: Path) -> None:
+def test_clients_killed_while_they_wait_do_not_hold_the_end(tmp_path):
     body = json.dumps({"print": sent(press(1))}).encode()
     head = (
         f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length:"
@@ -462,7 +456,7 @@ def test_clients_killed_while_they_wait_do_not_hold_the_end(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_what_it_cannot_serve_with_is_one_sentence(tmp_path: Path) -> None:
+def test_what_it_cannot_serve_with_is_one_sentence(tmp_path):
     """A certificate that does not fit, a key that is locked, a port that is taken; notes of an
     open token and an open gallery."""
     options, token = certificate(tmp_path), tmp_path / "token"
@@ -497,7 +491,7 @@ def test_what_it_cannot_serve_with_is_one_sentence(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_no_fault_of_the_client(tmp_path: Path) -> None:
+def test_a_full_disk_is_no_fault_of_the_client(tmp_path):
     mounted = (
         "unshare",
         "-rm",
@@ -547,16 +541,16 @@ def test_a_full_disk_is_no_fault_of_the_client(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("reader", [False, True])
-def test_a_pipe_in_place_of_a_log_holds_nobody(tmp_path: Path, reader: bool) -> None:
+def test_a_pipe_in_place_of_a_log_holds_nobody(tmp_path, reader):
     os.mkfifo(tmp_path / "audit")
     held = os.open(tmp_path / "audit", os.O_RDONLY | os.O_NONBLOCK) if reader else None
-    with pytest.raises(BadInput, match=r"audit file .* cannot be written"):
+    with bad_input(r"audit file .* cannot be written"):
         make_app(Gallery(tmp_path / "g.skg"), TOKEN, tmp_path / "audit")
     if held is not None:
         os.close(held)
 
 
-def test_work_that_takes_too_long_is_answered(service, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_that_takes_too_long_is_answered(service, monkeypatch):
     ended = threading.Event()
     monkeypatch.setattr(serve, "WORK_S", 0.05)
     monkeypatch.setattr(serve, "_done", lambda *_: ended.wait(30))

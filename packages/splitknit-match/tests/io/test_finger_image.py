@@ -1,14 +1,12 @@
 """Finger image records, byte by byte: written as ISO/IEC 19794-4:2005 has it, read in three
 layouts."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_match.records.finger_image import decode_finger_images, encode_finger_image
 from splitknit_match.records.pictures import PrintFile
 
@@ -20,18 +18,16 @@ TYPED = bytes.fromhex(
 """One image of a right index, contactless, 500 ppi, not compressed: typed by the tables."""
 
 
-def item(
-    image=SMALL, ppi: float = 500.0, finger: str = "right_index", impression: str = "contactless"
-) -> PrintFile:
+def item(image=SMALL, ppi=500.0, finger="right_index", impression="contactless"):
     return PrintFile(image, ppi, {}, finger, impression)
 
 
-def test_bytes_are_those_of_the_tables() -> None:
+def test_bytes_are_those_of_the_tables():
     assert encode_finger_image(item()) == TYPED
 
 
 @pytest.mark.parametrize("compression", ["none", "png", "wsq"])
-def test_images_come_back(compression: str) -> None:
+def test_images_come_back(compression):
     if compression == "wsq":
         pytest.importorskip("_wsq")
     rows, columns = np.mgrid[:140, :120]
@@ -47,15 +43,15 @@ def test_images_come_back(compression: str) -> None:
         assert np.abs(b.image.astype(int) - a.image).mean() < (4 if compression == "wsq" else 1e-9)
 
 
-def test_the_layouts_of_others_are_read() -> None:
+def test_the_layouts_of_others_are_read():
     """Two images of 2005; one of 2011 is refused."""
     two = TYPED[:8] + (len(TYPED) + 134).to_bytes(6, "big") + TYPED[14:] + TYPED[32:]
     assert [image.finger for image in decode_finger_images(two)] == ["right_index"] * 2
-    with pytest.raises(BadInput, match="of 2005"):
+    with bad_input("of 2005"):
         decode_finger_images(TYPED[:5] + b"2" + TYPED[6:])
 
 
-def test_pixels_per_cm_are_read() -> None:
+def test_pixels_per_cm_are_read():
     metric = bytearray(TYPED)
     metric[19] = 2
     for place in (20, 22, 24, 26):
@@ -63,14 +59,13 @@ def test_pixels_per_cm_are_read() -> None:
     assert decode_finger_images(bytes(metric))[0].resolution_ppi == 1000
 
 
-def test_cuts_are_refused() -> None:
+def test_cuts_are_refused():
     sample = TYPED
     for length in range(len(sample)):
-        with pytest.raises(BadInput) as refused:
+        with bad_input() as refused:
             decode_finger_images(sample[:length], "x.fir")
-        assert "\n" not in str(refused.value)
         assert "x.fir" in str(refused.value)
-    with pytest.raises(BadInput, match="bytes"):
+    with bad_input("bytes"):
         decode_finger_images(sample + b"\0", "x.fir")
 
 
@@ -90,13 +85,13 @@ def test_cuts_are_refused() -> None:
         (0, b"FAR", "not a finger image record"),
     ],
 )
-def test_what_does_not_fit_is_named(place: int, value: bytes, words: str) -> None:
+def test_what_does_not_fit_is_named(place, value, words):
     data = TYPED[:place] + value + TYPED[place + len(value) :]
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         decode_finger_images(data, "x.fir")
 
 
-def test_a_small_file_costs_little() -> None:
+def test_a_small_file_costs_little():
     """A PNG of 20,000 x 20,000 pixels in a record that states so, and in one that states 10 x
     12."""
     import tracemalloc
@@ -108,7 +103,7 @@ def test_a_small_file_costs_little() -> None:
         head = struct.pack(">IBBBBBHHB", 14 + len(bomb), 2, 1, 1, 254, 0, columns, rows, 0)
         start = TYPED[:8] + (46 + len(bomb)).to_bytes(6, "big") + TYPED[14:29] + b"\5\0\0"
         tracemalloc.start()
-        with pytest.raises(BadInput, match="pixels"):
+        with bad_input("pixels"):
             decode_finger_images(start + head + bomb, "x.fir")
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
@@ -124,6 +119,6 @@ def test_a_small_file_costs_little() -> None:
         (item(finger="ring"), "none", "'ring' has no code"),
     ],
 )
-def test_what_cannot_be_written_is_refused(wrong: PrintFile, compression: str, words: str) -> None:
-    with pytest.raises(BadInput, match=words):
+def test_what_cannot_be_written_is_refused(wrong, compression, words):
+    with bad_input(words):
         encode_finger_image(wrong, compression)

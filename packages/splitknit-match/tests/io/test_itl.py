@@ -1,15 +1,13 @@
 """Transactions of ANSI/NIST-ITL: what is read of them, what is refused. Their bytes are made by
 hand (fmr_samples)."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
 import pytest
 
 from fmr_samples import transaction, type_14
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.io.prints import encode_print_png
 from splitknit_match.records.itl import decode_transaction
 from splitknit_match.records.jpeg2000_image import encode_jpeg2000
@@ -21,7 +19,7 @@ LARGE = np.tile(SMALL, (10, 10))
 TYPE_2 = b"2.001:17\x1d2.002:0\x1c"
 
 
-def test_prints_are_read() -> None:
+def test_prints_are_read():
     fine = {"THPS": b"1000", "TVPS": b"1000", "IMP": b"1", "FGP": b"10"}
     data = transaction(TYPE_2, type_14(SMALL), type_14(LARGE, **fine), type_14(SMALL, 13, IMP=b"7"))
     plain, rolled, latent = decode_transaction(data)
@@ -42,13 +40,13 @@ def test_prints_are_read() -> None:
 
 
 @pytest.mark.parametrize("finger", list(FINGER_CODES))
-def test_every_finger_has_its_code(finger: str) -> None:
+def test_every_finger_has_its_code(finger):
     (item,) = decode_transaction(transaction(type_14(SMALL, FGP=b"%d" % FINGER_CODES[finger])))
     assert item.finger == finger
 
 
 @pytest.mark.parametrize("code", [b"PNG", b"JP2L", b"JP2", b"WSQ20"])
-def test_compressions_are_read(code: bytes) -> None:
+def test_compressions_are_read(code):
     if code == b"WSQ20":
         pytest.importorskip("_wsq")
     encode = {b"PNG": encode_print_png, b"WSQ20": encode_wsq}.get(code, encode_jpeg2000)
@@ -56,7 +54,7 @@ def test_compressions_are_read(code: bytes) -> None:
     assert np.abs(item.image.astype(int) - LARGE).mean() < (6 if code == b"WSQ20" else 1e-9)
 
 
-def test_pixels_may_hold_separators_and_field_names() -> None:
+def test_pixels_may_hold_separators_and_field_names():
     image = np.frombuffer(
         (b"\x1c\x1d\x1e\x1f14.001:1\x1d14.999:" * 20)[:300], dtype=np.uint8
     ).reshape(15, 20)
@@ -64,7 +62,7 @@ def test_pixels_may_hold_separators_and_field_names() -> None:
         np.testing.assert_array_equal(item.image, image)
 
 
-def test_pixels_per_cm_are_read() -> None:
+def test_pixels_per_cm_are_read():
     (item,) = decode_transaction(transaction(type_14(SMALL, SLC=b"2", THPS=b"394", TVPS=b"394")))
     assert item.resolution_ppi == pytest.approx(394 * 2.54)
 
@@ -91,11 +89,10 @@ def test_pixels_per_cm_are_read() -> None:
         ({"DATA": b""}, "holds no image"),
     ],
 )
-def test_fields_that_do_not_fit_are_named(changes: dict[str, bytes], words: str) -> None:
-    with pytest.raises(BadInput, match=words) as refused:
+def test_fields_that_do_not_fit_are_named(changes, words):
+    with bad_input(words) as refused:
         decode_transaction(transaction(type_14(SMALL, **changes)), "t.an2")
     assert "t.an2" in str(refused.value)
-    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -113,41 +110,40 @@ def test_fields_that_do_not_fit_are_named(changes: dict[str, bytes], words: str)
         (b"14.001:9\x1d\x1c", "must begin with its only Type-1"),
     ],
 )
-def test_broken_frames_are_refused(data: bytes, words: str) -> None:
-    with pytest.raises(BadInput, match=words):
+def test_broken_frames_are_refused(data, words):
+    with bad_input(words):
         decode_transaction(data)
 
 
-def test_every_cut_is_refused() -> None:
+def test_every_cut_is_refused():
     data = transaction(type_14(SMALL), type_14(SMALL))
     whole = {len(transaction(type_14(SMALL)))}  # a sound transaction of one print
     for length in set(range(len(data))) - whole:
-        with pytest.raises(BadInput):
+        with bad_input():
             decode_transaction(data[:length])
 
 
-def test_many_records_take_no_time() -> None:
+def test_many_records_take_no_time():
     began = time.process_time()
-    with pytest.raises(BadInput, match="more than 1000 records"):
+    with bad_input("more than 1000 records"):
         decode_transaction(transaction(*[TYPE_2] * 100_000))
     assert time.process_time() - began < 2
 
 
-def type_4(
-    finger: int = 2, scale: int = 0, code: int = 0, pixels: bytes = SMALL.tobytes()
-) -> bytes:
-    body = bytes([1, 1, finger, 255, 255, 255, 255, 255, scale, 0, 12, 0, 10, code]) + pixels
+def type_4(finger=2, scale=0, code=0, pixels=SMALL):
+    head = bytes([1, 1, finger, 255, 255, 255, 255, 255, scale, 0, 12, 0, 10, code])
+    body = head + bytes(pixels)
     return (4 + len(body)).to_bytes(4, "big") + body
 
 
-def with_type_4(*records: bytes) -> bytes:
+def with_type_4(*records):
     content = b"1\x1f%d" % len(records) + b"".join(
         b"\x1e4\x1f%d" % (number + 1) for number in range(len(records))
     )
     return transaction(*records, content=content)
 
 
-def test_binary_records_are_read() -> None:
+def test_binary_records_are_read():
     """Rolled prints of Type-4, at 500 ppi or the native resolution; four fingers at once are passed
     over."""
     prints = decode_transaction(with_type_4(type_4(), type_4(13), type_4(7, scale=1)))
@@ -169,6 +165,6 @@ def test_binary_records_are_read() -> None:
         (with_type_4(type_4(scale=1)).replace(b"1.011:39.37", b"1.011:00.00"), "ppi"),
     ],
 )
-def test_broken_binary_records_are_refused(data: bytes, words: str) -> None:
-    with pytest.raises(BadInput, match=words):
+def test_broken_binary_records_are_refused(data, words):
+    with bad_input(words):
         decode_transaction(data, "x.an2")

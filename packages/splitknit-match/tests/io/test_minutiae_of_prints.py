@@ -1,21 +1,18 @@
 """From a print to a record: minutiae as mindtct finds them, in the frame that the standards ask
 for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from splitknit_match.prints.minutiae import extract
-from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.records.fmr_bytes import ANSI_2004
-from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record
+from splitknit_match.records.minutiae_files import encode_minutiae_record
 from splitknit_match.records.minutiae_record import FingerView
 
 pytest.importorskip("nbis")
 
 
-def view_of(minutiae: Minutiae) -> FingerView:
+def view_of(minutiae):
     return FingerView(
         minutiae.x_px,
         minutiae.y_px,
@@ -27,7 +24,7 @@ def view_of(minutiae: Minutiae) -> FingerView:
     )
 
 
-def test_an_ending_points_along_its_ridge() -> None:
+def test_an_ending_points_along_its_ridge():
     """Upright ridges, one more below row 150 than above it: down is 270 deg, 192 of 256 and 135 of
     180 steps."""
     rows, columns = np.mgrid[:300, :280].astype(float)
@@ -43,22 +40,3 @@ def test_an_ending_points_along_its_ridge() -> None:
     assert abs(y - 150) <= 4
     assert data[32] == 192
     assert encode_minutiae_record(view, ANSI_2004)[34] == 135
-
-
-def test_minutiae_come_back_as_they_were() -> None:
-    random = np.random.default_rng(1)
-    count, steps = 60, 2 * np.pi / 32  # mindtct's directions
-    minutiae = Minutiae(
-        random.integers(0, 350, count).astype(np.int32),
-        random.integers(0, 500, count).astype(np.int32),
-        random.integers(0, 32, count) * steps,
-        random.integers(0, 3, count).astype(np.uint8),
-        random.integers(0, 101, count).astype(np.uint8),
-        (500, 350),
-    )
-    view = decode_minutiae_record(encode_minutiae_record(view_of(minutiae)))[0]
-    again = Minutiae(view.x_px, view.y_px, view.direction_rad, view.type, view.quality, view.size)
-    for name in ("x_px", "y_px", "type", "quality"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(minutiae, name))
-    np.testing.assert_allclose(again.direction_rad, minutiae.direction_rad, atol=1e-12)
-    assert again.size == minutiae.size

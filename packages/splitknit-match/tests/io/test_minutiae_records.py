@@ -1,14 +1,12 @@
 """Records of minutiae of ISO/IEC 19794-2:2005 and ANSI/INCITS 378, byte for byte."""
 
-from __future__ import annotations
-
 import time
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from numpy.testing import assert_allclose, assert_array_equal
 
 from fmr_samples import (
     ANSI_2009_BYTES,
@@ -19,6 +17,7 @@ from fmr_samples import (
     three_minutiae,
     views,
 )
+from refusals import bad_input
 from splitknit.errors import BadInput
 from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005, standard_of
 from splitknit_match.records.minutiae_files import (
@@ -31,11 +30,11 @@ from splitknit_match.records.minutiae_record import FingerView
 SAMPLES = {ISO_2005: ISO_BYTES, ANSI_2004: ANSI_BYTES, ANSI_2009: ANSI_2009_BYTES}
 
 
-def changed(data: bytes, place: int, *values: int) -> bytes:
+def changed(data, place, *values):
     return data[:place] + bytes(values) + data[place + len(values) :]
 
 
-def test_bytes_are_those_of_the_standards() -> None:
+def test_bytes_are_those_of_the_standards():
     head = (
         "46 4d 52 00  20 32 30 00  00 00 00 30  00 00  01 5e  01 f4  00 c5  00 c5  01 00  02 08"
         " 50 03"
@@ -68,18 +67,18 @@ def test_bytes_are_those_of_the_standards() -> None:
     assert encode_minutiae_record(little, ANSI_2009, owner=0x1B) == expected
 
 
-def test_fields_are_where_the_standards_have_them() -> None:
+def test_fields_are_where_the_standards_have_them():
     first, second = decode_minutiae_record(ISO_BYTES)
-    np.testing.assert_array_equal(first.x_px, [10, 300, 0])
-    np.testing.assert_array_equal(first.y_px, [20, 400, 0])
-    np.testing.assert_allclose(np.rad2deg(first.direction_rad), [90, 270, 358.59375])
-    np.testing.assert_array_equal(first.type, [1, 2, 0])
-    np.testing.assert_array_equal(first.quality, [50, 90, 0])
+    assert_array_equal(first.x_px, [10, 300, 0])
+    assert_array_equal(first.y_px, [20, 400, 0])
+    assert_allclose(np.rad2deg(first.direction_rad), [90, 270, 358.59375])
+    assert_array_equal(first.type, [1, 2, 0])
+    assert_array_equal(first.quality, [50, 90, 0])
     assert (first.size, first.resolution_ppcm, first.finger_quality) == ((500, 350), (197, 197), 80)
     assert (first.finger, first.impression) == ("right_index", "swipe")
     assert (second.finger, second.impression, second.count) == ("left_index", "live_plain", 0)
     (view,) = decode_minutiae_record(ANSI_BYTES)
-    np.testing.assert_allclose(np.rad2deg(view.direction_rad), [90, 270, 358])
+    assert_allclose(np.rad2deg(view.direction_rad), [90, 270, 358])
     assert (view.finger, view.impression, view.finger_quality) == (
         "right_thumb",
         "contactless",
@@ -94,11 +93,11 @@ def test_fields_are_where_the_standards_have_them() -> None:
             (80, 64),
             0,
         )
-        np.testing.assert_array_equal(view.quality, [0, 0])  # 254 and 255: not known
+        assert_array_equal(view.quality, [0, 0])  # 254 and 255: not known
 
 
 @pytest.mark.parametrize("standard", STANDARDS)
-def test_what_is_written_is_read(standard: str) -> None:
+def test_what_is_written_is_read(standard):
     @settings(
         max_examples=30,
         derandomize=True,
@@ -106,12 +105,12 @@ def test_what_is_written_is_read(standard: str) -> None:
         suppress_health_check=[HealthCheck.too_slow],
     )
     @given(views(standard))
-    def check(view: FingerView) -> None:
+    def check(view):
         data = encode_minutiae_record(view, standard)
         assert standard_of(data) == standard
         (read,) = decode_minutiae_record(data)
         for name in ("x_px", "y_px", "type", "quality"):
-            np.testing.assert_array_equal(getattr(read, name), getattr(view, name))
+            assert_array_equal(getattr(read, name), getattr(view, name))
         turn = np.angle(np.exp(1j * (read.direction_rad - view.direction_rad)))
         assert np.abs(turn).max(initial=0) <= np.deg2rad(1.0001)
         for name in ("finger", "impression", "finger_quality", "size", "resolution_ppcm"):
@@ -120,29 +119,27 @@ def test_what_is_written_is_read(standard: str) -> None:
     check()
 
 
-def test_long_records_have_a_length_of_six_bytes() -> None:
+def test_long_records_have_a_length_of_six_bytes():
     body = ANSI_BYTES[10:26] + ANSI_BYTES[26:-2] + (65535).to_bytes(2, "big") + bytes(65535)
     data = ANSI_BYTES[:8] + b"\0\0" + (14 + len(body)).to_bytes(4, "big") + body
     assert decode_minutiae_record(data)[0].count == 3
-    with pytest.raises(BadInput, match="truncated"):
+    with bad_input("truncated"):
         decode_minutiae_record(data[:5000])
 
 
-def test_files_are_known_by_what_they_hold(tmp_path: Path) -> None:
+def test_files_are_known_by_what_they_hold(tmp_path):
     for data in SAMPLES.values():
         (tmp_path / "minutiae.any").write_bytes(data)
         assert read_minutiae_record(tmp_path / "minutiae.any")[0].count >= 2
-    with pytest.raises(BadInput, match="does not exist"):
+    with bad_input("does not exist"):
         read_minutiae_record(tmp_path / "none.iso")
 
 
 @pytest.mark.parametrize("standard", STANDARDS)
-def test_cuts_and_flipped_bits_are_refused_or_read(standard: str) -> None:
+def test_cuts_and_flipped_bits_are_refused_or_read(standard):
     sample = SAMPLES[standard]
     for length in range(1, len(sample)):
-        with pytest.raises(
-            BadInput, match=r"truncated|but a record of minutiae is expected"
-        ) as refused:
+        with bad_input(r"truncated|but a record of minutiae is expected") as refused:
             decode_minutiae_record(sample[:length], "cut.iso")
         assert "cut.iso" in str(refused.value)
     for place in range(len(sample)):
@@ -193,14 +190,13 @@ def test_cuts_and_flipped_bits_are_refused_or_read(standard: str) -> None:
         (b"", "is empty, but"),
     ],
 )
-def test_what_the_standards_do_not_allow_is_named(data: bytes, words: str) -> None:
-    with pytest.raises(BadInput, match=words) as refused:
+def test_what_the_standards_do_not_allow_is_named(data, words):
+    with bad_input(words) as refused:
         decode_minutiae_record(data, "x.iso")
     assert "x.iso" in str(refused.value)
-    assert "\n" not in str(refused.value)
 
 
-def test_counts_that_lie_cost_nothing() -> None:
+def test_counts_that_lie_cost_nothing():
     """A header may claim 255 views of 255 minutiae: nothing is made before it is there."""
     claims = [
         b"FMR\0 20\0" + bytes(4) + b"\0\0\1\0\1\0\0\xc5\0\xc5\xff\0" + b"\1\0\0\xff" * 3,
@@ -211,20 +207,20 @@ def test_counts_that_lie_cost_nothing() -> None:
     tracemalloc.start()
     began = time.process_time()
     for data in claims:
-        with pytest.raises(BadInput):
+        with bad_input():
             decode_minutiae_record(data)
     assert time.process_time() - began < 2
     assert tracemalloc.get_traced_memory()[1] < 5_000_000
     tracemalloc.stop()
 
 
-def test_contactless_is_written_as_what_it_imitates() -> None:
+def test_contactless_is_written_as_what_it_imitates():
     for impression, name in (("contactless", "live_plain"), ("contactless_rolled", "live_rolled")):
         data = encode_minutiae_record(three_minutiae(impression=impression))
         assert decode_minutiae_record(data)[0].impression == name
 
 
-def test_what_cannot_be_said_is_not_written() -> None:
+def test_what_cannot_be_said_is_not_written():
     view = three_minutiae()
     names = ("x_px", "y_px", "direction_rad", "type", "quality")
     many = three_minutiae(**{name: np.resize(getattr(view, name), 300) for name in names})
@@ -232,7 +228,7 @@ def test_what_cannot_be_said_is_not_written() -> None:
         (three_minutiae(resolution_ppcm=(98, 98)), "at least 99"),
         (three_minutiae(impression="other"), "'other' has no code"),
     ]:
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             encode_minutiae_record(wrong)
     assert decode_minutiae_record(encode_minutiae_record(many))[0].count == 255
-    np.testing.assert_array_equal(view.best(2).quality, [50, 90])
+    assert_array_equal(view.best(2).quality, [50, 90])

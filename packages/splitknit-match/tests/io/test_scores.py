@@ -1,24 +1,21 @@
 """Score files: what is read, and one sentence with the line for what is not."""
 
-from __future__ import annotations
-
 import hashlib
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_match.evaluation.scores import read_scores
 
 
-def write(folder: Path, text: str | bytes) -> Path:
+def write(folder, text):
     path = folder / "scores.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
 
 
-def test_label_and_score_are_enough(tmp_path: Path) -> None:
+def test_label_and_score_are_enough(tmp_path):
     path = write(tmp_path, "label,score\n1,0.5\n0,-1e-3\n1,\n0, 7 \n")
     score_file = read_scores(path)
     scores = score_file.scores
@@ -35,14 +32,14 @@ def test_label_and_score_are_enough(tmp_path: Path) -> None:
     assert score_file.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def test_names_that_were_written_as_texts_come_back(tmp_path: Path) -> None:
+def test_names_that_were_written_as_texts_come_back(tmp_path):
     path = write(tmp_path, "label,score,finger_a,finger_b\n1,0.5,'=a,'=a\n0,-0.5,@b,'tis\n")
     scores = read_scores(path).scores
     assert scores.finger is not None
     assert set(scores.finger.names) == {"=a", "'tis", "@b"}
 
 
-def test_everything_there_is(tmp_path: Path) -> None:
+def test_everything_there_is(tmp_path):
     path = write(
         tmp_path,
         "\ufeffwhere, score"
@@ -59,9 +56,9 @@ def test_everything_there_is(tmp_path: Path) -> None:
     assert ours.label.tolist() == [False, True]
 
 
-def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Path) -> None:
+def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path):
     path = write(tmp_path, 'label,score,note\n1,2,"a\nb"\n0,1,c\n0,x,d\n')
-    with pytest.raises(BadInput, match="line 5: a score is a finite number"):
+    with bad_input("line 5: a score is a finite number"):
         read_scores(path)
 
 
@@ -108,16 +105,15 @@ def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Pat
         (b"label,score\n1,2\n0,\xff\n", "is not a CSV file: it is not text"),
     ],
 )
-def test_bad_files(tmp_path: Path, text: str | bytes, words: str) -> None:
+def test_bad_files(tmp_path, text, words):
     path = write(tmp_path, text)
-    with pytest.raises(BadInput, match=words) as caught:
+    with bad_input(words) as caught:
         read_scores(path)
     assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
 
 
-def test_files_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="does not exist"):
+def test_files_that_are_none(tmp_path):
+    with bad_input("does not exist"):
         read_scores(tmp_path / "none.csv")
-    with pytest.raises(BadInput, match="not a file"):
+    with bad_input("not a file"):
         read_scores(tmp_path)

@@ -1,14 +1,11 @@
 """Surfaces for other programs: colours, models with a texture, closed solids."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import splitknit
 from splitknit.imaging.pixels import GREY_WEIGHTS
@@ -23,7 +20,7 @@ COLOURS = np.where((X > 0)[..., None], (0.8, 0.3, 0.1), (0.1, 0.4, 0.7))
 
 
 @pytest.fixture(scope="module")
-def dome() -> Reconstruction:
+def dome():
     """A glossy dome of two colours with bumps, from colour photographs under eight lights."""
     height = 0.6 * np.sqrt(1.9 - X**2 - Y**2, where=MASK, out=np.zeros_like(X))
     height += 0.004 * np.cos(30 * X) * np.cos(30 * Y)
@@ -41,20 +38,20 @@ def dome() -> Reconstruction:
     return splitknit.reconstruct_images(np.round(light * 65535).astype(np.uint16), lights, MASK, 9)
 
 
-def loaded(data: bytes, kind: str) -> Any:
+def loaded(data, kind):
     trimesh = pytest.importorskip("trimesh")
     return trimesh.load(io.BytesIO(data), kind, force="mesh", process=kind == "stl")
 
 
-def test_the_colour_is_the_surfaces_and_not_the_highlights(dome: Reconstruction) -> None:
+def test_the_colour_is_the_surfaces_and_not_the_highlights(dome):
     assert dome.colour is not None
     colour, true = dome.colour[MASK], COLOURS[MASK]
     assert np.abs(colour / (colour * true).sum() * (true * true).sum() - true).mean() < 0.02
-    np.testing.assert_allclose(colour @ GREY_WEIGHTS, dome.albedo[MASK], rtol=1e-4)
+    assert_allclose(colour @ GREY_WEIGHTS, dome.albedo[MASK], rtol=1e-4)
     assert not dome.colour[~MASK].any()
 
 
-def test_a_result_keeps_its_colours(dome: Reconstruction, tmp_path: Path) -> None:
+def test_a_result_keeps_its_colours(dome, tmp_path):
     dome.save(tmp_path / "result")
     mesh = read_ply(tmp_path / "result" / "surface.ply")
     read = splitknit.read_result(tmp_path / "result")
@@ -64,7 +61,7 @@ def test_a_result_keeps_its_colours(dome: Reconstruction, tmp_path: Path) -> Non
     assert (mesh.colours[mesh.vertices_mm[:, 0] > 0.2, 0] > 180).all()  # red
     assert (mesh.colours[mesh.vertices_mm[:, 0] < -0.2, 2] > 180).all()  # blue
     white = np.percentile(dome.colour[MASK], 99.9)
-    np.testing.assert_allclose(read.colour, np.minimum(dome.colour / white, 1.0), atol=0.01)
+    assert_allclose(read.colour, np.minimum(dome.colour / white, 1.0), atol=0.01)
 
 
 def test_a_model_has_its_colours_in_a_texture(dome: Reconstruction) -> None:
@@ -79,14 +76,14 @@ def test_a_model_has_its_colours_in_a_texture(dome: Reconstruction) -> None:
     assert (here[mesh.vertices[:, 0] < -3e-4, 2] > 180).all()
 
 
-def test_a_grey_result_becomes_a_grey_model(dome: Reconstruction) -> None:
+def test_a_grey_result_becomes_a_grey_model(dome):
     _, data = surface_bytes(replace(dome, colour=None), "glb", "a dome")
     texture = np.asarray(loaded(data, "glb").visual.material.baseColorTexture)
     assert texture.max() > 250
     assert not np.ptp(texture, axis=-1).any()
 
 
-def test_a_solid_is_closed_and_stands_on_a_flat_base(dome: Reconstruction) -> None:
+def test_a_solid_is_closed_and_stands_on_a_flat_base(dome):
     mask = MASK & (np.random.default_rng(0).random(MASK.shape) > 0.03)  # outlines that cross
     for inside in (MASK, mask):
         _, data = surface_bytes(replace(dome, mask=inside), "stl", "a dome", base_mm=2.0)

@@ -1,7 +1,5 @@
 """Ridges and minutiae of two prints: places, evidence, scales, and the order of sides."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -17,7 +15,7 @@ from splitknit_match.matching.template import Template, leveled, print_size, sca
 from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
 
 
-def print_of(seed: int, rows: int = 150, columns: int = 130, minutiae: int = 20) -> Template:
+def print_of(seed, rows=150, columns=130, minutiae=20):
     """Curved ridges with faults, and minutiae at random places."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:rows, :columns]
@@ -29,7 +27,7 @@ def print_of(seed: int, rows: int = 150, columns: int = 130, minutiae: int = 20)
     return replace(template, minutiae=minutiae_of(template, seed, minutiae))
 
 
-def minutiae_of(template: Template, seed: int, count: int) -> Minutiae:
+def minutiae_of(template, seed, count):
     rng = np.random.default_rng(seed)
     rows, columns = print_size(template)
     y, x = rng.integers(0, rows, count), rng.integers(0, columns, count)
@@ -43,11 +41,11 @@ def minutiae_of(template: Template, seed: int, count: int) -> Minutiae:
 
 
 @pytest.fixture(scope="module")
-def side() -> Template:
+def side():
     return print_of(1)
 
 
-def test_the_key_is_of_the_ridges_alone(side: Template) -> None:
+def test_the_key_is_of_the_ridges_alone(side):
     more_minutiae = replace(side, minutiae=minutiae_of(side, 2, 9))
     assert Prepared(side).key == Prepared(more_minutiae).key
     assert Prepared(side).key != Prepared(replace(side, pitch_mm=0.11)).key
@@ -59,9 +57,7 @@ def test_the_key_is_of_the_ridges_alone(side: Template) -> None:
     ("overlap_mm2", "smaller_mm2", "factor"),
     [(30, 195, 30 / 60), (90, 195, 1), (30, 80, 30 / 40), (50, 80, 1)],
 )
-def test_little_overlap_lowers_the_similarity(
-    side: Template, overlap_mm2: float, smaller_mm2: float, factor: float
-) -> None:
+def test_little_overlap_lowers_the_similarity(side, overlap_mm2, smaller_mm2, factor):
     count = 10
     weight = np.full(count, overlap_mm2 / 1.6**2 / count, np.float32)
     agreement = Agreement(
@@ -79,7 +75,7 @@ def test_little_overlap_lowers_the_similarity(
         assert result.compared
 
 
-def turned(template: Template, angle_rad: float, right_mm: float, up_mm: float) -> Template:
+def turned(template, angle_rad, right_mm, up_mm):
     """The print, turned and moved, its minutiae with it."""
     rows, columns = template.valid.shape
     matrix = cv2.getRotationMatrix2D(
@@ -106,7 +102,7 @@ def turned(template: Template, angle_rad: float, right_mm: float, up_mm: float) 
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(150, 130), (90, 80)])
-def test_a_moved_print_is_found_by_both(rows: int, columns: int) -> None:
+def test_a_moved_print_is_found_by_both(rows, columns):
     """Large prints, and small ones (less than 100 mm2)."""
     a = print_of(3, rows, columns)
     b = turned(a, 0.25, 1.0, -0.5)
@@ -131,7 +127,7 @@ def test_a_moved_print_is_found_by_both(rows: int, columns: int) -> None:
     assert match.compared
 
 
-def test_prints_without_minutiae_are_rated_by_their_overlap() -> None:
+def test_prints_without_minutiae_are_rated_by_their_overlap():
     a = print_of(3)
     b = turned(a, 0.25, 1.0, -0.5)
     a, b = replace(a, minutiae=no_minutiae()), replace(b, minutiae=no_minutiae())
@@ -147,7 +143,7 @@ def test_prints_without_minutiae_are_rated_by_their_overlap() -> None:
 
 
 @pytest.mark.parametrize("scale", [1.12, 0.9])
-def test_finer_ridges_are_enlarged(side: Template, scale: float) -> None:
+def test_finer_ridges_are_enlarged(side, scale):
     larger = scaled(side, scale)
     assert fusion._log_frequency(side) == pytest.approx(
         math.log(1.35 / 0.1 / (2 * np.pi)), abs=0.05
@@ -165,7 +161,7 @@ def test_finer_ridges_are_enlarged(side: Template, scale: float) -> None:
     assert fusion._log_frequency(replace(side, valid=np.zeros_like(side.valid))) == 0
 
 
-def test_prints_of_two_scales_are_doubted(monkeypatch) -> None:
+def test_prints_of_two_scales_are_doubted(monkeypatch):
     a = print_of(3)
     b = scaled(turned(a, 0.1, 0.2, 0), 1.1)
     doubt = methods.scale_doubt(a, b, None)
@@ -185,7 +181,7 @@ def test_prints_of_two_scales_are_doubted(monkeypatch) -> None:
     assert decided[0][3:] == (0.02, "own")
 
 
-def bent(template: Template) -> Template:
+def bent(template):
     """The print on skin that is pulled to one side, more so towards its end."""
     rows, columns = template.valid.shape
     y, x = np.mgrid[:rows, :columns].astype(np.float32)
@@ -194,7 +190,7 @@ def bent(template: Template) -> Template:
 
 
 @pytest.fixture(scope="module")
-def pairs() -> dict[str, tuple[Template, Template]]:
+def pairs():
     whole, part = print_of(3), print_of(3, 90, 80)
     return {
         "moved": (whole, turned(whole, 0.25, 1.0, -0.5)),
@@ -213,13 +209,7 @@ def pairs() -> dict[str, tuple[Template, Template]]:
         ("small", (23.60, 18.02), (0.971, 43.4), (40.0, 1.0, -0.5)),
     ],
 )
-def test_scores_of_drawn_prints_stay(
-    pairs: dict[str, tuple[Template, Template]],
-    name: str,
-    fused: tuple[float, float],
-    ridges: tuple[float, float],
-    alignment: tuple[float, float, float],
-) -> None:
+def test_scores_of_drawn_prints_stay(pairs, name, fused, ridges, alignment):
     """A constant or a step of the matchers that changes moves one of these."""
     match, ridge = fused_match(*pairs[name]), ridge_match(*pairs[name])
     assert (match.similarity, match.minutiae) == pytest.approx(fused, rel=0.02, abs=0.2)
@@ -227,9 +217,7 @@ def test_scores_of_drawn_prints_stay(
     assert (ridge.rotation_deg, ridge.right_mm, ridge.up_mm) == pytest.approx(alignment, abs=0.1)
 
 
-def test_a_quick_comparison_lets_skin_slip_where_prints_may_be_of_one_finger(
-    pairs: dict[str, tuple[Template, Template]], monkeypatch
-) -> None:
+def test_a_quick_comparison_lets_skin_slip_where_prints_may_be_of_one_finger(pairs, monkeypatch):
     closely = fused_match(*pairs["bent"])
     assert fused_match(*pairs["bent"], quick=True) == closely
     monkeypatch.setattr(fusion, "_bends", None)
@@ -241,7 +229,7 @@ def test_a_quick_comparison_lets_skin_slip_where_prints_may_be_of_one_finger(
     assert excluded.ridge.overlap_mm2 == pytest.approx(closely.ridge.overlap_mm2, rel=0.25)
 
 
-def test_scores_of_different_prints_stay() -> None:
+def test_scores_of_different_prints_stay():
     for size, score, ridges in (((150, 130), -5.78, 0.173), ((90, 80), -3.43, 0.209)):
         a, b = print_of(3, *size), print_of(4, *size)
         assert fused_match(a, b).similarity == pytest.approx(score, abs=0.4)

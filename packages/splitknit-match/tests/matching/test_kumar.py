@@ -1,12 +1,9 @@
 """The preset `kumar`: `ea`, smoothed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from splitknit.capture import Capture
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.imaging.geometry import smoothed
 from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS, preset_settings
@@ -14,7 +11,7 @@ from splitknit.settings import override
 
 
 @pytest.mark.slow
-def test_kumar_is_ea_smoothed(twin_capture: Capture) -> None:
+def test_kumar_is_ea_smoothed(twin_capture):
     assert override(PRESETS["kumar"], {"smooth.sigma_mm": 0.0}) == PRESETS["ea"]
     plain, smooth = (reconstruct(twin_capture, preset) for preset in ("ea", "kumar"))
     np.testing.assert_array_equal(smooth.mask, plain.mask)
@@ -29,14 +26,14 @@ def test_kumar_is_ea_smoothed(twin_capture: Capture) -> None:
     assert np.abs(smooth.height_mm - plain.height_mm)[inside].mean() < 0.02
 
 
-def test_only_the_thesis_s_cases_are_smoothed_by_up_to_1_mm() -> None:
-    with pytest.raises(BadInput, match="method=thesis"):
+def test_only_the_thesis_s_cases_are_smoothed_by_up_to_1_mm():
+    with bad_input("method=thesis"):
         override(preset_settings("metric"), {"smooth.sigma_mm": 0.1})
-    with pytest.raises(BadInput, match="must be from 0 to 1"):
+    with bad_input("must be from 0 to 1"):
         override(preset_settings("ea"), {"smooth.sigma_mm": -0.1})
 
 
-def test_smoothing_takes_nothing_from_outside_the_mask() -> None:
+def test_smoothing_takes_nothing_from_outside_the_mask():
     rng = np.random.default_rng(0)
     mask = np.zeros((60, 70), bool)
     mask[20:45, 15:60] = True

@@ -1,7 +1,5 @@
 """Pairs of minutiae against plain loops: cylinders, similarities, fits and alignments."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -24,7 +22,7 @@ from splitknit_match.prints.minutiae_record import PPI, Minutiae
 PITCH_MM = 0.1
 
 
-def minutiae_at(places: list[tuple[float, float, float]], size: tuple[int, int]) -> Minutiae:
+def minutiae_at(places, size):
     """Minutiae at columns and rows, with directions in degrees."""
     x, y, direction = np.array(places).T
     count = len(places)
@@ -38,7 +36,7 @@ def minutiae_at(places: list[tuple[float, float, float]], size: tuple[int, int])
     )
 
 
-def constellation(seed: int, count: int = 14) -> list[tuple[float, float, float]]:
+def constellation(seed, count=14):
     rng = np.random.default_rng(seed)
     return [
         (float(x), float(y), float(d))
@@ -47,13 +45,13 @@ def constellation(seed: int, count: int = 14) -> list[tuple[float, float, float]
 
 
 @pytest.fixture(scope="module")
-def cylinders() -> Cylinders:
+def cylinders():
     valid = np.ones((152, 152), bool)
     valid[:, :40] = False
     return minutia_cylinders(minutiae_at(constellation(1), (300, 300)), valid, PITCH_MM)
 
 
-def test_places_are_as_a_camera_sees_them(cylinders: Cylinders) -> None:
+def test_places_are_as_a_camera_sees_them(cylinders):
     step = 25.4 / PPI
     for k, (x, y, direction) in enumerate(constellation(1)):
         assert cylinders.place[k].real == pytest.approx(-(x - 149.5) * step, abs=1e-6)
@@ -63,7 +61,7 @@ def test_places_are_as_a_camera_sees_them(cylinders: Cylinders) -> None:
         )
 
 
-def test_cylinders_are_sums_over_the_other_minutiae(cylinders: Cylinders) -> None:
+def test_cylinders_are_sums_over_the_other_minutiae(cylinders):
     line = 2 * 3.556 / 8 * (np.arange(8) - 3.5)
     levels = (2 * np.pi / 6 * np.arange(6) + np.pi) % (2 * np.pi) - np.pi
     # 0.5 mm, and half a pixel, beyond the outermost pixels
@@ -100,7 +98,7 @@ def test_cylinders_are_sums_over_the_other_minutiae(cylinders: Cylinders) -> Non
         assert number == minutia_pairs.CYLINDER == cylinders.value.shape[1]
 
 
-def test_minutiae_agree_one_with_one() -> None:
+def test_minutiae_agree_one_with_one():
     places = np.array([0, 1, 1.1, 5 + 2j])
     turns = np.array([0.1, 3.1, -3.1, 1.0])
     laid = np.array([0.2, 1.05 + 0.1j]), np.array([0.3, -3.1])
@@ -115,7 +113,7 @@ def test_minutiae_agree_one_with_one() -> None:
     assert agreeing(twice, (places[:1], turns[:1])) == pytest.approx(math.exp(-0.25))
 
 
-def laid(seed: int, angle_rad: float, shift: complex, count: int = 14) -> Cylinders:
+def laid(seed, angle_rad, shift, count=14):
     """Cylinders of a constellation, turned and moved in the camera's view."""
     valid = np.ones((152, 152), bool)
     cylinders = minutia_cylinders(minutiae_at(constellation(seed), (300, 300)), valid, PITCH_MM)
@@ -127,7 +125,7 @@ def laid(seed: int, angle_rad: float, shift: complex, count: int = 14) -> Cylind
     )
 
 
-def test_two_alignments_are_proposed_the_better_one_first() -> None:
+def test_two_alignments_are_proposed_the_better_one_first():
     """Half of the minutiae moved one way, fewer another way."""
     a = laid(1, 0, 0)
     first, second = laid(1, 0.4, 1 + 1j), laid(1, 2.0, -3)
@@ -145,7 +143,7 @@ def test_two_alignments_are_proposed_the_better_one_first() -> None:
     assert pairings[0].support > pairings[1].support > 3
 
 
-def test_minutiae_drift_as_a_pulled_skin_slips() -> None:
+def test_minutiae_drift_as_a_pulled_skin_slips():
     """Those of a skin that is shifted by 1.2 mm at one end find theirs; still ones stay."""
     place = laid(1, 0, 0).place
     turn = np.linspace(0, 6, 14)
@@ -157,18 +155,18 @@ def test_minutiae_drift_as_a_pulled_skin_slips() -> None:
 
 
 @pytest.mark.parametrize(("count", "alignments"), [(1, 0), (2, 0), (3, 1)])
-def test_an_alignment_takes_three_pairs(count: int, alignments: int) -> None:
+def test_an_alignment_takes_three_pairs(count, alignments):
     a, b = laid(1, 0, 0, count), laid(1, 0.2, 1, count)
     assert len(pair_minutiae(a, b)) == alignments
 
 
-def test_dissimilar_cylinders_propose_nothing() -> None:
+def test_dissimilar_cylinders_propose_nothing():
     a, b = laid(1, 0, 0), laid(1, 0, 0)
     unknown = Cylinders(b.place, b.turn, 0 * b.value, 0 * b.known)
     assert pair_minutiae(a, unknown) == []
 
 
-def test_the_affine_map_of_a_pairing_is_that_of_its_places() -> None:
+def test_the_affine_map_of_a_pairing_is_that_of_its_places():
     a, b = (
         RidgeBand(np.zeros(s, np.float32), np.ones(s, bool), 0.1) for s in ((101, 81), (61, 41))
     )
@@ -180,14 +178,14 @@ def test_the_affine_map_of_a_pairing_is_that_of_its_places() -> None:
         assert (column, row) == pytest.approx((40 + 10 * place.real, 50 - 10 * place.imag))
 
 
-def test_places_beyond_the_picture_are_not_on_ridges() -> None:
+def test_places_beyond_the_picture_are_not_on_ridges():
     valid = np.zeros((4, 5), bool)
     valid[3, 0] = valid[0, 4] = valid[1, 2] = True
     place = [(0.4, 3.4), (4.4, -0.4), (2, 1), (2.6, 1), (-0.6, 3), (0, 3.6), (5, 0), (4, -40)]
     assert on_ridges(valid, np.array(place)).tolist() == [True] * 3 + [False] * 5
 
 
-def test_of_many_minutiae_the_best_hundred_are_compared() -> None:
+def test_of_many_minutiae_the_best_hundred_are_compared():
     rng = np.random.default_rng(1)
     places = [(float(x), float(y), 0.0) for x, y in rng.integers(20, 280, (130, 2))]
     minutiae = minutiae_at(places, (300, 300))

@@ -1,7 +1,5 @@
 """Minutiae: extracted where they are, compared, packed and read again."""
 
-from __future__ import annotations
-
 import builtins
 from dataclasses import replace
 
@@ -11,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, nfiq2
 from splitknit_match.prints.minutiae_record import (
@@ -20,12 +18,7 @@ from splitknit_match.prints.minutiae_record import (
     pack_minutiae,
     unpack_minutiae,
 )
-from splitknit_simulator.finger.master_print import (
-    MasterPrint,
-    MasterPrintSettings,
-    ink_print,
-    master_print,
-)
+from splitknit_simulator.finger.master_print import MasterPrintSettings, ink_print, master_print
 
 BORDER = 20
 SMALL = MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=1.0)
@@ -38,7 +31,7 @@ def nbis():
 
 
 @pytest.fixture(scope="module")
-def masters() -> list[MasterPrint]:
+def masters():
     return [
         master_print(pattern, seed, SMALL)
         for seed, pattern in enumerate(("whorl", "left_loop", "right_loop"), 41)
@@ -46,7 +39,7 @@ def masters() -> list[MasterPrint]:
 
 
 @pytest.fixture(scope="module")
-def prints(masters: list[MasterPrint]) -> list[np.ndarray]:
+def prints(masters):
     """Three fingers, and the first one once more, turned and shifted."""
     fingers = [np.pad(ink_print(master), BORDER, constant_values=255) for master in masters]
     turn = cv2.getRotationMatrix2D((170, 220), 12.0, 1.0)
@@ -57,12 +50,12 @@ def prints(masters: list[MasterPrint]) -> list[np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def minutiae(nbis, prints: list[np.ndarray]) -> list[Minutiae]:
+def minutiae(nbis, prints):
     """Of each print."""
     return [extract(image) for image in prints]
 
 
-def random_minutiae(count: int, seed: int = 0, size: tuple[int, int] = (380, 360)) -> Minutiae:
+def random_minutiae(count, seed=0, size=(380, 360)):
     rng = np.random.default_rng(seed)
     return Minutiae(
         rng.integers(0, size[1], count).astype(np.int32),
@@ -74,9 +67,7 @@ def random_minutiae(count: int, seed: int = 0, size: tuple[int, int] = (380, 360
     )
 
 
-def test_minutiae_lie_where_the_finger_has_them(
-    masters: list[MasterPrint], minutiae: list[Minutiae]
-) -> None:
+def test_minutiae_lie_where_the_finger_has_them(masters, minutiae):
     """Places within a pixel on average, directions within a step of mindtct's (11.25 deg), against
     the truth."""
     step = 25.4 / 500
@@ -99,9 +90,7 @@ def test_minutiae_lie_where_the_finger_has_them(
     assert (np.abs(np.mean(errors_px, axis=0)) < 1).all()
 
 
-def test_minutiae_are_in_pixels_and_in_mm_from_the_middle(
-    minutiae: list[Minutiae], prints: list[np.ndarray]
-) -> None:
+def test_minutiae_are_in_pixels_and_in_mm_from_the_middle(minutiae, prints):
     first = minutiae[0]
     assert first.acquired
     assert first.size == prints[0].shape
@@ -119,9 +108,7 @@ def test_minutiae_are_in_pixels_and_in_mm_from_the_middle(
     shift=st.tuples(st.integers(-120, 120), st.integers(-120, 120)),
     missing=st.floats(0, 0.3),
 )
-def test_turned_shifted_and_missing_minutiae_are_recognised(
-    seed: int, angle: float, shift: tuple[int, int], missing: float
-) -> None:
+def test_turned_shifted_and_missing_minutiae_are_recognised(seed, angle, shift, missing):
     """On both sides some are missing, and others are put in their place."""
     first = random_minutiae(45, seed)
     place = (first.x_px - 180 + 1j * (first.y_px - 190)) * np.exp(-1j * angle)
@@ -140,21 +127,19 @@ def test_turned_shifted_and_missing_minutiae_are_recognised(
     assert own > 2 > 1.8 > minutiae_match(fewer, random_minutiae(45, seed + 1))  # noqa: PLR0133
 
 
-def test_two_prints_of_a_finger_score_higher_than_those_of_two_fingers(
-    minutiae: list[Minutiae],
-) -> None:
+def test_two_prints_of_a_finger_score_higher_than_those_of_two_fingers(minutiae):
     impostors = ((0, 1), (0, 2), (1, 2), (1, 3), (2, 3))
     assert minutiae_match(minutiae[0], minutiae[3]) > 3
     assert max(minutiae_match(minutiae[i], minutiae[j]) for i, j in impostors) < 1.8
 
 
-def test_the_order_of_minutiae_does_not_matter(minutiae: list[Minutiae]) -> None:
+def test_the_order_of_minutiae_does_not_matter(minutiae):
     first, again = minutiae[0], minutiae[3]
     order = np.random.default_rng(0).permutation(first.count)
     assert minutiae_match(first.taken(order), again) == minutiae_match(first, again)
 
 
-def test_of_too_many_minutiae_the_best_are_compared() -> None:
+def test_of_too_many_minutiae_the_best_are_compared():
     """100 good ones and 50 bad ones among them: the bad ones change what a print shows at most."""
     good, bad = random_minutiae(100, 1), random_minutiae(50, 2)
     good = replace(good, quality=np.full(100, 80, np.uint8))
@@ -167,9 +152,7 @@ def test_of_too_many_minutiae_the_best_are_compared() -> None:
         )
 
 
-def test_prints_of_1000_ppi_are_resampled(
-    prints: list[np.ndarray], minutiae: list[Minutiae]
-) -> None:
+def test_prints_of_1000_ppi_are_resampled(prints, minutiae):
     large = cv2.resize(prints[0], None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     fine = extract(large, 1000.0)
     assert fine.size == prints[0].shape
@@ -179,9 +162,7 @@ def test_prints_of_1000_ppi_are_resampled(
 @needs_nbis
 @pytest.mark.parametrize("shape", [(1, 1), (8, 8), (63, 200), (90, 90), (300, 80)])
 @pytest.mark.parametrize("content", ["white", "black", "noise"])
-def test_images_without_a_print_are_failures_to_acquire(
-    shape: tuple[int, int], content: str
-) -> None:
+def test_images_without_a_print_are_failures_to_acquire(shape, content):
     image = {
         "white": np.full(shape, 255, np.uint8),
         "black": np.zeros(shape, np.uint8),
@@ -195,7 +176,7 @@ def test_images_without_a_print_are_failures_to_acquire(
         assert nfiq2(image) == NFIQ2_FAILED
 
 
-def test_failures_to_acquire_score_0(minutiae: list[Minutiae]) -> None:
+def test_failures_to_acquire_score_0(minutiae):
     nothing = unpack_minutiae(b"")
     assert not nothing.acquired
     assert pack_minutiae(nothing) == b""
@@ -203,13 +184,13 @@ def test_failures_to_acquire_score_0(minutiae: list[Minutiae]) -> None:
     assert minutiae_match(minutiae[0].taken(np.arange(9)), minutiae[0]) == 0
 
 
-def test_equal_prints_are_of_equal_quality(prints: list[np.ndarray]) -> None:
+def test_equal_prints_are_of_equal_quality(prints):
     """Without the tests' own memory of earlier prints (match_fixtures.py)."""
     first, second = (nfiq2.__wrapped__(prints[0].copy()) for _ in range(2))
     assert first == second
 
 
-def test_nfiq2_is_lower_for_a_spoilt_print(nbis, prints: list[np.ndarray]) -> None:
+def test_nfiq2_is_lower_for_a_spoilt_print(nbis, prints):
     noise = np.random.default_rng(1).normal(0, 90, prints[0].shape)
     spoilt = np.clip(cv2.GaussianBlur(prints[0], (0, 0), 2.5) + noise, 0, 255).astype(np.uint8)
     assert 0 <= nfiq2(spoilt) < nfiq2(prints[0]) <= 100
@@ -226,12 +207,12 @@ def test_nfiq2_is_lower_for_a_spoilt_print(nbis, prints: list[np.ndarray]) -> No
         (np.zeros((2000, 90), np.uint8), 100.0, "larger than a finger"),
     ],
 )
-def test_bad_prints_are_refused(image: np.ndarray, ppi: float, words: str) -> None:
-    with pytest.raises(BadInput, match=words):
+def test_bad_prints_are_refused(image, ppi, words):
+    with bad_input(words):
         extract(image, ppi)
 
 
-def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch):
     from splitknit_match.prints.minutiae import extractor
 
     real = builtins.__import__
@@ -243,14 +224,14 @@ def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(builtins, "__import__", refusing)
     extractor.cache_clear()
-    with pytest.raises(BadInput, match=r"x86-64 Linux.*method ridge\.$"):
+    with bad_input(r"x86-64 Linux.*method ridge\.$"):
         extract(np.zeros((90, 90), np.uint8))
     extractor.cache_clear()
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), count=st.integers(0, 300))
-def test_packed_minutiae_come_back(seed: int, count: int) -> None:
+def test_packed_minutiae_come_back(seed, count):
     before = random_minutiae(count, seed)
     after = unpack_minutiae(pack_minutiae(before))
     for name in ("x_px", "y_px", "type", "quality"):
@@ -262,21 +243,21 @@ def test_packed_minutiae_come_back(seed: int, count: int) -> None:
 
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(place=st.integers(0, 1 << 20), change=st.integers(1, 255), cut=st.integers(0, 30))
-def test_changed_or_cut_bytes_are_refused(place: int, change: int, cut: int) -> None:
+def test_changed_or_cut_bytes_are_refused(place, change, cut):
     data = bytearray(pack_minutiae(random_minutiae(20)))
     where = place % len(data)
     data[where] ^= change
     if 6 <= where < 10:
         return  # the print's size: any is possible
-    with pytest.raises(BadInput, match="extract them from the print again"):
+    with bad_input("extract them from the print again"):
         unpack_minutiae(bytes(data[: len(data) - cut]))
 
 
-def test_contradictory_minutiae_are_refused() -> None:
+def test_contradictory_minutiae_are_refused():
     three = random_minutiae(3)
-    with pytest.raises(BadInput, match="one length"):
+    with bad_input("one length"):
         replace(three, x_px=three.x_px[:2])
-    with pytest.raises(BadInput, match="inside their print"):
+    with bad_input("inside their print"):
         replace(three, x_px=three.x_px + 400)
-    with pytest.raises(BadInput, match="larger than"):
+    with bad_input("larger than"):
         no_minutiae((10_000, 10))

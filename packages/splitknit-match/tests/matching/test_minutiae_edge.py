@@ -1,7 +1,5 @@
 """Where a print is cut off, every ridge ends: those ends are no minutiae."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from splitknit_match.prints.minutiae import EDGE_MM, edge_distance_mm, extract
 STEP_MM = 25.4 / 500
 
 
-def test_the_distance_is_to_the_outline_of_the_print_or_the_image() -> None:
+def test_the_distance_is_to_the_outline_of_the_print_or_the_image():
     """Valleys are not an outline, and a thin line beside the print is not part of it."""
     rows, _ = np.mgrid[:300, :240]
     ridges = np.where((rows // 5) % 2 == 0, 40, 255).astype(np.uint8)
@@ -29,7 +27,7 @@ def test_the_distance_is_to_the_outline_of_the_print_or_the_image() -> None:
     assert black.max() == pytest.approx(45 * STEP_MM, abs=STEP_MM)
 
 
-def test_straight_ridges_have_no_minutiae_wherever_their_print_ends() -> None:
+def test_straight_ridges_have_no_minutiae_wherever_their_print_ends():
     """Parallel ridges inside a round outline: their ends at the outline are left out."""
     pytest.importorskip("nbis")
     rows, columns = np.mgrid[:400, :400]

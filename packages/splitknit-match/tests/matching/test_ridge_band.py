@@ -1,38 +1,24 @@
 """The ridge band: pitch, direction, contrast, unrolling, skin without ridges."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.imaging.geometry import rotation_about
 from splitknit_match.matching.ridge_band import band_places, print_band, ridge_band
 
 PITCH = 0.05
 
 
-def stripes(turn: float, period_mm: float = 0.45, side: int = 300) -> np.ndarray:
+def stripes(turn, period_mm=0.45, side=300):
     """Ridges whose normal points `turn` counter-clockwise from x."""
     rows, columns = np.mgrid[0:side, 0:side]
     across = columns * np.cos(turn) - rows * np.sin(turn)
     return (0.03 * np.sin(2 * np.pi * PITCH / period_mm * across)).astype(np.float32)
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.5, 1.2, -0.9])
-def test_ridges_of_any_direction_get_the_same_contrast(turn: float) -> None:
-    gain = np.linspace(0.5, 2.0, 300, dtype=np.float32)  # contrast that changes over the finger
-    band = ridge_band(stripes(turn) * gain, np.ones((300, 300), np.bool_), PITCH)
-    assert band.value.shape == (150, 150)
-    assert band.pitch_mm == 0.1
-    inner = slice(30, -30), slice(30, -30)
-    assert band.valid[inner].all()
-    assert band.value[inner].std() == pytest.approx(1.0, abs=0.1)
-    left, right = band.value[30:-30, 30:60].std(), band.value[30:-30, 90:120].std()
-    assert left == pytest.approx(right, rel=0.1)
-
-
-def test_wide_shapes_are_taken_out() -> None:
+def test_wide_shapes_are_taken_out():
     _, columns = np.mgrid[0:300, 0:300]
     hill = (0.5 * np.cos((columns - 150) / 100)).astype(np.float32)
     mask = np.ones((300, 300), np.bool_)
@@ -43,34 +29,7 @@ def test_wide_shapes_are_taken_out() -> None:
     assert np.corrcoef(plain[inner].ravel(), hilly[inner].ravel())[0, 1] > 0.99
 
 
-def test_ridges_even_on_a_cylinder_are_even_in_the_band() -> None:
-    radius, side = 8.0, 300
-    x = (np.arange(side) - 149.5) * PITCH  # up to 69 deg of slant
-    arc = radius * np.arcsin(x / radius)
-    ridge = np.broadcast_to(0.03 * np.sin(2 * np.pi * arc / 0.5), (side, side)).astype(np.float32)
-    shape = np.broadcast_to(np.sqrt(radius**2 - x**2), (side, side)).astype(np.float32)
-    mask = np.ones((side, side), np.bool_)
-    band = ridge_band(ridge, mask, PITCH, shape)
-    line = band.value[75]
-    known = np.flatnonzero(band.valid[75])
-    assert np.ptp(known) * 0.1 > 2 * radius * np.deg2rad(58)
-    crossings = known[:-1][(line[known[:-1]] < 0) & (line[known[:-1] + 1] >= 0)]
-    places = crossings - line[crossings] / (line[crossings + 1] - line[crossings])
-    # one crossing a period of 0.5 mm, nearly from side to side
-    np.testing.assert_allclose(np.diff(places)[1:-1], 5.0, atol=0.25)
-    np.testing.assert_allclose(np.diff(places)[8:-8], 5.0, atol=0.06)
-
-
-def test_skin_without_ridges_is_left_out() -> None:
-    rng = np.random.default_rng(0)
-    relief = stripes(0.3)
-    relief[:, 150:] = 0.0005 * rng.normal(size=(300, 150))
-    band = ridge_band(relief, np.ones((300, 300), np.bool_), PITCH)
-    assert band.valid[20:-20, 10:65].all()
-    assert not band.valid[20:-20, 90:].any()
-
-
-def test_prints_are_mirrored_and_inverted() -> None:
+def test_prints_are_mirrored_and_inverted():
     ridge = stripes(0.5)
     # ink: ridges dark, mirrored
     picture = np.clip(128 - 3000 * ridge[:, ::-1], 0, 255).astype(np.uint8)
@@ -80,25 +39,13 @@ def test_prints_are_mirrored_and_inverted() -> None:
     assert np.corrcoef(from_print.value[inner].ravel(), band.value[inner].ravel())[0, 1] > 0.95
 
 
-def test_impossible_pitches_and_sizes_are_refused() -> None:
-    mask = np.ones((60, 60), bool)
-    relief = np.zeros((60, 60), np.float32)
-    for pitch_mm, words in ((1e-300, "pitch_mm"), (1e9, "pitch_mm"), (9.0, "more than a finger's")):
-        with pytest.raises(BadInput, match=words):
-            ridge_band(relief, mask, pitch_mm)
-    with pytest.raises(BadInput, match="ridge_mm holds heights"):
-        ridge_band(relief + np.float32(1e30), mask, 0.1)
-    with pytest.raises(BadInput, match="more than a finger's"):  # 2.4 GB from a small archive
-        ridge_band(relief, mask, 0.05, relief, np.diag([0.01, 0.01, 1.0]), (10_000, 10_000))
-
-
 PITCH_MM = 0.05
 SIDE = 240
 INNER = np.s_[30:-30, 30:-30]
 ALL = np.ones((SIDE, SIDE), bool)
 
 
-def wave(angle_rad: float, period_mm: float = 0.5) -> np.ndarray:
+def wave(angle_rad, period_mm=0.5):
     y, x = np.mgrid[:SIDE, :SIDE] * PITCH_MM
     across = x * np.cos(angle_rad) - y * np.sin(angle_rad)
     return np.sin(2 * np.pi / period_mm * across).astype(np.float32)
@@ -106,9 +53,7 @@ def wave(angle_rad: float, period_mm: float = 0.5) -> np.ndarray:
 
 @pytest.mark.parametrize("angle_rad", [0.0, np.pi / 4, 1.0])
 @pytest.mark.parametrize(("second", "valid"), [(0.75, True), (0.87, False)])
-def test_skin_is_used_from_a_coherence_of_a_fifth(
-    angle_rad: float, second: float, valid: bool
-) -> None:
+def test_skin_is_used_from_a_coherence_of_a_fifth(angle_rad, second, valid):
     """Of two crossed waves it is the difference of their powers over the sum."""
     crossed = wave(angle_rad) + second * wave(angle_rad + np.pi / 2)
     band = ridge_band(crossed, ALL, PITCH_MM)
@@ -116,7 +61,7 @@ def test_skin_is_used_from_a_coherence_of_a_fifth(
 
 
 @pytest.mark.parametrize(("contrast", "expected"), [(0.5, 1.0), (0.2, 0.67), (0.1, 0.0)])
-def test_weak_contrast_is_raised_to_a_limit(contrast: float, expected: float) -> None:
+def test_weak_contrast_is_raised_to_a_limit(contrast, expected):
     relief = wave(0.5)
     relief[:, :80] *= contrast
     band = ridge_band(relief, ALL, PITCH_MM)
@@ -125,7 +70,7 @@ def test_weak_contrast_is_raised_to_a_limit(contrast: float, expected: float) ->
     assert band.value[30:-30, 60:100].std() == pytest.approx(1, abs=0.05)
 
 
-def test_pixels_of_a_flat_band_are_steps_of_its_pitch() -> None:
+def test_pixels_of_a_flat_band_are_steps_of_its_pitch():
     transform = np.array([[0.8, 0.6, 5.0], [-0.6, 0.8, 7.0], [0, 0, 1]])
     columns, rows, slant_cos = band_places(ALL, None, transform, (31, 44), pitch_mm=0.05)
     assert columns.shape == rows.shape == slant_cos.shape == (16, 22)
@@ -142,7 +87,7 @@ def test_pixels_of_a_flat_band_are_steps_of_its_pitch() -> None:
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.6])
 @pytest.mark.parametrize("middle_px", [119.5, 90.0])
-def test_pixels_of_a_cylinder_are_steps_along_its_skin(angle_rad: float, middle_px: float) -> None:
+def test_pixels_of_a_cylinder_are_steps_along_its_skin(angle_rad, middle_px):
     """The skin is measured from the middle of what is known; its axis may lie elsewhere."""
     radius_mm = 6.5
     y, x = np.mgrid[:SIDE, :SIDE].astype(float)
@@ -159,26 +104,24 @@ def test_pixels_of_a_cylinder_are_steps_along_its_skin(angle_rad: float, middle_
     assert upright[row, :, 1] == pytest.approx(2 * row, abs=0.05)
     skin = np.abs(place_mm) < 2.8
     arc_mm = radius_mm * np.arcsin(place_mm[skin] / radius_mm)
-    np.testing.assert_allclose(np.diff(arc_mm), 0.1, atol=0.004)
+    assert_allclose(np.diff(arc_mm), 0.1, atol=0.004)
     assert np.ptp(arc_mm) == pytest.approx(0.1 * (skin.sum() - 1), rel=0.01)
-    np.testing.assert_allclose(
-        slant_cos[row, skin], np.sqrt(1 - (place_mm[skin] / radius_mm) ** 2), atol=0.02
-    )
+    assert_allclose(slant_cos[row, skin], np.sqrt(1 - (place_mm[skin] / radius_mm) ** 2), atol=0.02)
     # each row begins at the same place: at the middle of the known skin
     places = np.abs(upright[40:80, :, 0] - middle_px)
     assert np.ptp(np.argmin(places, axis=1)) <= 1
 
 
-def test_slopes_along_the_finger_count_as_slant_only() -> None:
+def test_slopes_along_the_finger_count_as_slant_only():
     slope = np.broadcast_to(-0.5 * PITCH_MM * np.arange(SIDE)[:, None], (SIDE, SIDE))
     columns, _, slant_cos = band_places(
         ALL, slope.astype(np.float32), np.eye(3), (SIDE, SIDE), pitch_mm=PITCH_MM
     )
-    np.testing.assert_allclose(np.diff(columns[60])[10:-10], 2, atol=1e-3)
-    np.testing.assert_allclose(slant_cos[40:-40, 40:-40], 1 / np.sqrt(1.25), atol=0.01)
+    assert_allclose(np.diff(columns[60])[10:-10], 2, atol=1e-3)
+    assert_allclose(slant_cos[40:-40, 40:-40], 1 / np.sqrt(1.25), atol=0.01)
 
 
-def test_steep_skin_is_left_out() -> None:
+def test_steep_skin_is_left_out():
     """Up to 60 degrees it is used."""
     for slant_deg, valid in ((57.0, True), (63.0, False)):
         slope = np.tan(np.deg2rad(slant_deg)) * PITCH_MM * np.arange(SIDE)[:, None]
@@ -187,7 +130,7 @@ def test_steep_skin_is_left_out() -> None:
         assert band.valid[INNER].mean() == pytest.approx(float(valid), abs=0.01)
 
 
-def test_what_lies_outside_the_mask_does_not_reach_in() -> None:
+def test_what_lies_outside_the_mask_does_not_reach_in():
     relief = wave(0.4)
     mask = np.zeros((SIDE, SIDE), bool)
     mask[40:200, 50:190] = True
@@ -196,8 +139,8 @@ def test_what_lies_outside_the_mask_does_not_reach_in() -> None:
     band = ridge_band(relief, mask, PITCH_MM)
     for outside in (wild, missing):
         again = ridge_band(outside, mask, PITCH_MM)
-        np.testing.assert_array_equal(again.valid, band.valid)
-        np.testing.assert_allclose(again.value, band.value, atol=1e-5)
+        assert_array_equal(again.valid, band.valid)
+        assert_allclose(again.value, band.value, atol=1e-5)
     assert band.valid[23:97, 28:92].all()
     assert not band.valid[:, :24].any()
     assert not band.valid[:, 96:].any()
@@ -206,7 +149,7 @@ def test_what_lies_outside_the_mask_does_not_reach_in() -> None:
     assert band.area_mm2 == pytest.approx(8 * 7, rel=0.05)
 
 
-def test_heights_that_are_not_finite_are_left_out() -> None:
+def test_heights_that_are_not_finite_are_left_out():
     relief = wave(0.4)
     relief[:, 120:] = np.nan
     band = ridge_band(relief, ALL, PITCH_MM)
@@ -217,7 +160,7 @@ def test_heights_that_are_not_finite_are_left_out() -> None:
     assert not ridge_band(wave(0.4), ALL, PITCH_MM, shape).valid[:, 66:].any()
 
 
-def test_a_relief_without_ridges_has_none() -> None:
+def test_a_relief_without_ridges_has_none():
     band = ridge_band(np.zeros((SIDE, SIDE), np.float32), ALL, PITCH_MM)
     assert band.value.shape == band.valid.shape == (120, 120)
     assert not band.valid.any()
@@ -225,7 +168,7 @@ def test_a_relief_without_ridges_has_none() -> None:
     assert band.pitch_mm == 0.1
 
 
-def test_bad_surfaces_are_refused_by_name() -> None:
+def test_bad_surfaces_are_refused_by_name():
     relief = np.zeros((20, 30), np.float32)
     mask = np.ones((20, 30), bool)
     cases = [
@@ -242,13 +185,13 @@ def test_bad_surfaces_are_refused_by_name() -> None:
         ((relief, mask, 0.1, None, np.eye(3), (2001, 2001)), r"is 200 mm long"),
     ]
     for arguments, words in cases:
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             ridge_band(*arguments)
     assert not ridge_band(relief, mask, 0.1, relief + 500).valid.any()
     assert ridge_band(relief, mask, 0.1, None, np.eye(3), (5000, 1)).valid.shape == (5000, 1)
 
 
-def picture(contrast: float) -> np.ndarray:
+def picture(contrast):
     """A print whose left third (right third, as a camera sees it) is weak."""
     ink = wave(0.5) * 100
     ink[:, :80] *= contrast
@@ -256,13 +199,13 @@ def picture(contrast: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("contrast", "valid"), [(0.24, False), (0.37, True)])
-def test_a_print_is_used_from_a_third_of_its_contrast(contrast: float, valid: bool) -> None:
+def test_a_print_is_used_from_a_third_of_its_contrast(contrast, valid):
     band = print_band(picture(contrast), 25.4 / PITCH_MM)
     assert band.valid[30:-30, 90:110].mean() == pytest.approx(float(valid), abs=0.05)
     assert band.valid[30:-30, 20:70].all()
 
 
-def test_a_print_is_used_inside_only() -> None:
+def test_a_print_is_used_inside_only():
     inside = np.zeros((SIDE, SIDE), bool)
     inside[:, :120] = True
     band = print_band(picture(1.0), 25.4 / PITCH_MM, inside)
@@ -275,15 +218,15 @@ def test_a_print_is_used_inside_only() -> None:
 
 
 @pytest.mark.parametrize("image", [np.zeros((0, 5), np.uint8), np.zeros((5, 5, 3), np.uint8)])
-def test_bad_prints_are_refused(image: np.ndarray) -> None:
-    with pytest.raises(BadInput, match=r"a print must be \(H, W\) uint8, not \("):
+def test_bad_prints_are_refused(image):
+    with bad_input(r"a print must be \(H, W\) uint8, not \("):
         print_band(image)
     for ppi in (0.0, np.inf):
-        with pytest.raises(BadInput, match=f"ppi must be a positive number, but it is {ppi}"):
+        with bad_input(f"ppi must be a positive number, but it is {ppi}"):
             print_band(np.zeros((5, 5), np.uint8), ppi)
 
 
-def test_a_ball_is_unrolled_from_the_middle_of_its_known_skin() -> None:
+def test_a_ball_is_unrolled_from_the_middle_of_its_known_skin():
     """That column of the picture stays straight; every row is as long as its arc."""
     radius_mm = 7.0
     y, x = np.mgrid[:SIDE, :SIDE] * PITCH_MM
@@ -300,13 +243,13 @@ def test_a_ball_is_unrolled_from_the_middle_of_its_known_skin() -> None:
     skin = (np.abs(at_mm[0] - 4) < 1.5) & (np.abs(at_mm[1] - 7) < 2.5)
     off_mm = np.hypot(at_mm[0] - 5, at_mm[1] - 7)[skin]
     expected = np.sqrt(1 - (off_mm / radius_mm) ** 2)
-    np.testing.assert_allclose(slant_cos[skin], expected, atol=0.02)
+    assert_allclose(slant_cos[skin], expected, atol=0.02)
     # shifted by a step of the slopes' grid, one side would be too steep
     side = np.sign(at_mm[1] - 7)[skin]
     assert abs(((slant_cos[skin] - expected) * side).mean()) < 0.002
 
 
-def test_steep_sides_are_unrolled_as_if_they_were_less_steep() -> None:
+def test_steep_sides_are_unrolled_as_if_they_were_less_steep():
     """A roof whose slope is 3 beyond 2 mm: steps as at 60 degrees, on both sides."""
     x = (np.arange(SIDE) - 119.5) * PITCH_MM
     roof = np.broadcast_to(-3 * np.maximum(np.abs(x) - 2, 0), (SIDE, SIDE)).astype(np.float32)
@@ -314,12 +257,12 @@ def test_steep_sides_are_unrolled_as_if_they_were_less_steep() -> None:
     steps = np.diff(columns[60])
     for side in (columns[60, :-1] < 50) & (columns[60, :-1] > 20), columns[60, :-1] > 190:
         inner = side & (columns[60, :-1] < 220)
-        np.testing.assert_allclose(steps[inner], 1.0, atol=0.02)
+        assert_allclose(steps[inner], 1.0, atol=0.02)
 
 
-def test_an_offset_of_the_relief_changes_nothing_up_to_the_edge() -> None:
+def test_an_offset_of_the_relief_changes_nothing_up_to_the_edge():
     mask = np.zeros((SIDE, SIDE), bool)
     mask[40:200, 50:190] = True
     plain, offset = (ridge_band(wave(0.4) + add, mask, PITCH_MM) for add in (0, np.float32(20)))
-    np.testing.assert_array_equal(plain.valid, offset.valid)
-    np.testing.assert_allclose(plain.value, offset.value, atol=0.01)
+    assert_array_equal(plain.valid, offset.valid)
+    assert_allclose(plain.value, offset.value, atol=0.01)

@@ -1,29 +1,18 @@
 """The thesis's matcher: alignment, gate, score."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
-from splitknit_match.matching.thesis import (
-    ThesisSettings,
-    finger_images,
-    thesis_match,
-)
+from refusals import bad_input
+from splitknit_match.matching.thesis import ThesisSettings, finger_images, thesis_match
 
 NO_GATE = ThesisSettings(gate=0.0)
 
 
-def ellipse(rows: int, columns: int) -> np.ndarray:
-    y, x = np.mgrid[0:rows, 0:columns]
-    return ((x - (columns - 1) / 2) / (columns / 2)) ** 2 + ((y - (rows - 1)) / rows) ** 2 < 1
-
-
 @pytest.mark.parametrize("index", [0, 3, 6])
-def test_a_finger_is_most_similar_to_itself_moved(impressions, index: int) -> None:
+def test_a_finger_is_most_similar_to_itself_moved(impressions, index):
     """By two pixels: this matcher needs poses that differ little."""
     impression = impressions[index]
     fields = impression.normals, impression.ridge_mm, impression.mask
@@ -35,14 +24,14 @@ def test_a_finger_is_most_similar_to_itself_moved(impressions, index: int) -> No
     assert genuine > max(similarities.values())
 
 
-def test_a_finger_equals_itself(impressions) -> None:
+def test_a_finger_equals_itself(impressions):
     finger = impressions[0].images()
     match = thesis_match(finger, finger)
     assert match.similarity == 1.0
     assert set(match.distances.values()) == {0.0}
 
 
-def test_two_scales_are_refused(impressions) -> None:
+def test_two_scales_are_refused(impressions):
     finger = impressions[0].images()
-    with pytest.raises(BadInput, match="px/mm"):
+    with bad_input("px/mm"):
         thesis_match(finger, replace(finger, px_per_mm=75.7))

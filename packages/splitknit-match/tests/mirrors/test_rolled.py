@@ -1,45 +1,42 @@
 """A finger between mirrors, rolled from the true masks and mirrors, against its formulas."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import rolled_scene as scene
+from refusals import bad_input
 from splitknit.capture import Capture
-from splitknit.errors import BadInput
 from splitknit.finger.locate import FingerSettings
 from splitknit.skin.images import MetricSettings
 from splitknit_match.prints.rolled import _coverage_deg
-from splitknit_match.rolled.finger import Rolled, rolled_finger
+from splitknit_match.rolled.finger import rolled_finger
 from splitknit_match.rolled.register import ridges_of
 from splitknit_match.rolled.views import find_mirror_views
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick() -> Iterator[None]:
+def quick():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("splitknit_match.rolled.finger.PITCH_MM", 0.07)
         yield
 
 
 @pytest.fixture(scope="module")
-def finger() -> Rolled:
+def finger():
     capture, masks = scene.capture()
     return rolled_finger(capture, scene.views_of(capture, masks), MetricSettings())
 
 
-def truth_of(finger: Rolled) -> tuple[np.ndarray, np.ndarray]:
+def truth_of(finger):
     """True relief at the finger's points, and the slant of the skin there (deg)."""
     points = finger.points_mm.astype(np.float64) - np.array([0.0, 2.0, 0.0])
     normals, _ = scene.bumped(points)
     return scene.ridges(points), np.rad2deg(np.arctan2(normals[..., 0], normals[..., 2]))
 
 
-def ridges_and_slant(finger: Rolled) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ridges_and_slant(finger):
     """Measured and true ridges, and the slant of the skin (deg, positive to the right)."""
     true, slant = truth_of(finger)
     blended, pitch = finger.blended, finger.chart.pitch_mm
@@ -49,11 +46,11 @@ def ridges_and_slant(finger: Rolled) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return measured, there, slant
 
 
-def straight_rows(finger: Rolled) -> np.ndarray:
+def straight_rows(finger):
     return (finger.chart.length_mm < 0) & (finger.chart.length_mm > -12)
 
 
-def assert_true_ridges(finger: Rolled, least: float) -> None:
+def assert_true_ridges(finger, least):
     measured, true, slant = ridges_and_slant(finger)
     straight = finger.blended.known & straight_rows(finger)[:, None]
     for low, high in ((-90, -60), (-60, -30), (-30, 0), (0, 30), (30, 60), (60, 90)):
@@ -64,7 +61,7 @@ def assert_true_ridges(finger: Rolled, least: float) -> None:
         assert np.corrcoef(measured[where], true[where])[0, 1] > least, (low, high)
 
 
-def assert_covers_both_sides(finger: Rolled) -> None:
+def assert_covers_both_sides(finger):
     normals, rows, blended = (
         finger.normals.astype(np.float64),
         straight_rows(finger),
@@ -79,17 +76,17 @@ def assert_covers_both_sides(finger: Rolled) -> None:
 
 
 @pytest.mark.slow
-def test_ridges_around_the_finger_are_true(finger: Rolled) -> None:
+def test_ridges_around_the_finger_are_true(finger):
     assert_true_ridges(finger, 0.6)
 
 
 @pytest.mark.slow
-def test_the_mirrors_add_the_sides_to_the_front(finger: Rolled) -> None:
+def test_the_mirrors_add_the_sides_to_the_front(finger):
     assert_covers_both_sides(finger)
 
 
 @pytest.mark.slow
-def test_a_capture_of_a_perspective_camera_is_rolled() -> None:
+def test_a_capture_of_a_perspective_camera_is_rolled():
     capture, masks = scene.perspective()
     # under spreading rays outlines leave the height open by a millimetre
     parallel = scene.views_of(*scene.capture())
@@ -100,14 +97,14 @@ def test_a_capture_of_a_perspective_camera_is_rolled() -> None:
 
 
 @pytest.mark.slow
-def test_the_surface_is_the_finger(finger: Rolled) -> None:
+def test_the_surface_is_the_finger(finger):
     rows = (finger.chart.length_mm < 4) & (finger.chart.length_mm > -12)
     off = scene.off_surface_mm(finger.points_mm[rows].astype(np.float64))
     assert np.sqrt((off**2).mean()) < 0.15
 
 
 @pytest.mark.slow
-def test_one_mirror_shows_its_side() -> None:
+def test_one_mirror_shows_its_side():
     capture, masks = scene.capture()
     # the left mirror's light counts, its view does not
     both = scene.views_of(capture, masks)
@@ -124,12 +121,12 @@ def test_one_mirror_shows_its_side() -> None:
     assert not covered[np.abs(degrees + 95).argmin()]
 
 
-def test_captures_without_white_light_or_mirrors_are_refused() -> None:
+def test_captures_without_white_light_or_mirrors_are_refused():
     rig = scene.rig()
     for mirrors, words in (
         (rig.mirrors, "no band 'white'"),
         ((), "has no mirrors beside the finger"),
     ):
         capture = Capture(replace(rig, mirrors=mirrors), {}, material="opaque")
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             find_mirror_views(capture, FingerSettings())

@@ -1,7 +1,5 @@
 """Slopes that the lights hardly show stay near the shape's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from splitknit_match.rolled.views import _held_normals
 SHAPE, PITCH = (24, 24), 0.05
 
 
-def tilted(slant_deg: float, held: float, lights: np.ndarray, ridge: float = 0.2) -> np.ndarray:
+def tilted(slant_deg, held, lights, ridge=0.2):
     """Measured slopes (across, along) on a plane of that slant; a ridge turns the skin by `ridge`
     (rad) both ways."""
     x = PITCH * np.arange(SHAPE[1])
@@ -31,20 +29,20 @@ def tilted(slant_deg: float, held: float, lights: np.ndarray, ridge: float = 0.2
 
 
 @pytest.fixture
-def ring() -> np.ndarray:
+def ring():
     azimuth = 2 * np.pi * np.arange(7) / 7
     return np.stack([0.4 * np.cos(azimuth), 0.4 * np.sin(azimuth), np.full(7, 0.9)], axis=1)
 
 
 @pytest.mark.parametrize("slant_deg", [5.0, 48.0])
-def test_slopes_are_held_as_much_as_is_asked_for(ring, slant_deg: float) -> None:
+def test_slopes_are_held_as_much_as_is_asked_for(ring, slant_deg):
     assert tilted(slant_deg, 0.0, ring) == pytest.approx([0.2, 0.2], abs=2e-3)
     some, more = (np.abs(tilted(slant_deg, held, ring)) for held in (0.5, 2.0))
     assert some.max() < 0.19
     assert (more < 0.8 * some).all()
 
 
-def test_a_slope_that_the_lights_show_well_is_held_less(ring) -> None:
+def test_a_slope_that_the_lights_show_well_is_held_less(ring):
     flat = ring * [1.0, 0.2, 1.0]  # these lights hardly show the slope along
     across, along = tilted(5.0, 0.1, flat)
     assert across > 0.15

@@ -1,7 +1,5 @@
 """Ridges of a view of skin: a camera too coarse for the network is read on a grid twice as fine."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,7 @@ from splitknit_simulator.twin import simulate_capture
 
 
 @pytest.mark.slow
-def test_a_camera_of_15_px_per_mm_shows_the_ridges_in_front_and_in_the_mirror() -> None:
+def test_a_camera_of_15_px_per_mm_shows_the_ridges_in_front_and_in_the_mirror():
     mirrors = MirrorSettings(names=("left",), nir=False)
     capture, truth = simulate_capture(11, None, TwinSettings(scale=0.35, mirrors=mirrors))
     px_per_mm = capture.rig.camera.px_per_mm

@@ -1,24 +1,21 @@
 """Drawn photographs of a finger: an elliptic cylinder with ridges at known distances."""
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from drawn_photo import PAPER, PERIOD_MM, PX_PER_MM, SKIN, drawn
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit_match.prints.fingerphoto import finger_of_photo, fingerphoto, read_fingerphoto
 from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo
 
 
-def spacings(image: np.ndarray) -> np.ndarray:
+def spacings(image):
     """Distances of the ridges across the middle of a print, pixels."""
     rows = image.shape[0] // 2
     line = image[rows : rows + 60].mean(axis=0).astype(np.float32)
@@ -28,7 +25,7 @@ def spacings(image: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 35.0, -80.0])
-def test_a_turned_finger_is_made_upright(turn_deg: float) -> None:
+def test_a_turned_finger_is_made_upright(turn_deg):
     photo, _ = drawn(turn_deg)
     source = finger_of_photo(photo, PX_PER_MM)
     frame = source.map.input_from_grid
@@ -37,7 +34,7 @@ def test_a_turned_finger_is_made_upright(turn_deg: float) -> None:
     assert re.search("(16.9|17.0) mm wide", str(source.findings[0]))
 
 
-def test_unrolled_ridges_lie_as_far_apart_as_on_the_skin() -> None:
+def test_unrolled_ridges_lie_as_far_apart_as_on_the_skin():
     source = finger_of_photo(drawn()[0], PX_PER_MM)
     expected = PERIOD_MM / 25.4 * 500
     unrolled = spacings(source.flat)
@@ -46,14 +43,14 @@ def test_unrolled_ridges_lie_as_far_apart_as_on_the_skin() -> None:
     assert np.abs(unrolled[3:-3] - expected).max() < 2.5
 
 
-def test_an_unknown_scale_is_that_of_usual_widths_and_ridges() -> None:
+def test_an_unknown_scale_is_that_of_usual_widths_and_ridges():
     source = finger_of_photo(drawn(across=False)[0])
     # 17 mm wide is usual
     assert PX_PER_MM * source.pitch_mm == pytest.approx((0.46 / PERIOD_MM) ** 0.69, rel=0.03)
     assert "assumed, to about 8 %" in str(source.findings[0])
 
 
-def test_skin_without_ridges_does_not_change_the_scale() -> None:
+def test_skin_without_ridges_does_not_change_the_scale():
     photo, inside = drawn(across=False)
     partly, flat = photo.copy(), cv2.GaussianBlur(photo, (0, 0), 5)
     # out of focus above, and as noisy as telephones are
@@ -66,7 +63,7 @@ def test_skin_without_ridges_does_not_change_the_scale() -> None:
 
 
 @pytest.mark.slow
-def test_photographs_without_a_whole_finger_in_colour_are_refused() -> None:
+def test_photographs_without_a_whole_finger_in_colour_are_refused():
     empty, photo = np.full((300, 300, 3), 120, np.uint8), drawn()[0]
     empty[..., 2] = np.random.default_rng(0).integers(100, 140, (300, 300))
     for image, words in (
@@ -77,33 +74,31 @@ def test_photographs_without_a_whole_finger_in_colour_are_refused() -> None:
         (photo[:, 130:335], "its tip in view"),  # its sides are out of view
         (photo[200:, 130:335], "its tip in view"),
     ):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             finger_of_photo(np.ascontiguousarray(image))
-    with pytest.raises(BadInput, match="the finger's width is"):
+    with bad_input("the finger's width is"):
         finger_of_photo(photo, 1.0)
 
 
-def test_ridges_of_0_73_mm_need_a_known_scale() -> None:
+def test_ridges_of_0_73_mm_need_a_known_scale():
     inside = drawn()[1]
     wave = 1 + 0.1 * np.sin(np.indices(inside.shape)[0] * (2 * np.pi / 9.4))
     skin = np.where(inside[..., None], SKIN, PAPER) * np.where(inside, wave, 1.0)[..., None]
     wide = np.clip(skin, 0, 255).astype(np.uint8)
     # 0.73 mm, if it is 17 mm wide
-    with pytest.raises(BadInput, match="too far apart or close for its width"):
+    with bad_input("too far apart or close for its width"):
         finger_of_photo(wide, mask=inside)
     assert finger_of_photo(wide, PX_PER_MM, inside).quality
 
 
 @pytest.fixture
-def photo(tmp_path: Path) -> Path:
+def photo(tmp_path):
     file = tmp_path / "photo.jpg"
     cv2.imwrite(str(file), drawn(20.0, minutiae=40)[0][..., ::-1])
     return file
 
 
-def test_only_files_in_colour_are_photographs(
-    photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_files_in_colour_are_photographs(photo, tmp_path, monkeypatch):
     grey = tmp_path / "print.png"
     cv2.imwrite(str(grey), cv2.imread(str(photo), cv2.IMREAD_GRAYSCALE))
     assert fingerphoto(photo) is not None
@@ -114,9 +109,7 @@ def test_only_files_in_colour_are_photographs(
 
 
 @pytest.mark.slow
-def test_photographs_are_matched_by_rates_of_photographs(
-    photo: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_photographs_are_matched_by_rates_of_photographs(photo, capsys):
     assert read_fingerphoto(photo, PX_PER_MM).hashes.keys() == {"photo.jpg"}
     assert main([*f"match {photo} {photo} --resolution-ppi".split(), str(25.4 * PX_PER_MM)]) == 0
     printed = capsys.readouterr().out
@@ -125,9 +118,7 @@ def test_photographs_are_matched_by_rates_of_photographs(
 
 
 @pytest.mark.slow
-def test_a_photograph_is_printed_with_its_quality(
-    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_photograph_is_printed_with_its_quality(photo, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(f"print {photo} --out {out} --method relief".split()) == 2
     assert "photograph of a finger: its --method is photo" in capsys.readouterr().err
@@ -143,17 +134,17 @@ def test_a_photograph_is_printed_with_its_quality(
 
 
 @pytest.mark.parametrize("turn_deg", [25.0, 35.0])
-def test_a_finger_whose_side_leaves_the_picture_is_segmented_whole(turn_deg: float) -> None:
+def test_a_finger_whose_side_leaves_the_picture_is_segmented_whole(turn_deg):
     photo, inside = (np.ascontiguousarray(image[:420, :300]) for image in drawn(turn_deg))
     assert overlap(finger_in_photo(photo).mask, inside) > 0.96
 
 
-def overlap(mask: np.ndarray, true: np.ndarray) -> float:
+def overlap(mask, true):
     """Intersection over union."""
     return float((mask & true).sum() / (mask | true).sum())
 
 
-def two_fingers() -> tuple[np.ndarray, list[np.ndarray]]:
+def two_fingers():
     """Two fingers beside each other, before leaves of two greens, and their masks."""
     (photo, inside), (row, column) = drawn(), np.indices((520, 460))
     dark = (np.sin(row / 9.0) * np.sin(column / 13.0) > 0)[..., None]
@@ -164,7 +155,7 @@ def two_fingers() -> tuple[np.ndarray, list[np.ndarray]]:
     return np.ascontiguousarray(both[:, 20:-20].astype(np.uint8)), masks
 
 
-def test_of_two_fingers_among_leaves_either_can_be_chosen() -> None:
+def test_of_two_fingers_among_leaves_either_can_be_chosen():
     pixels, masks = two_fingers()
     finger = finger_in_photo(pixels)
     assert finger.others == 1
@@ -175,31 +166,29 @@ def test_of_two_fingers_among_leaves_either_can_be_chosen() -> None:
     assert overlap(chosen, masks[second]) > 0.95
 
 
-def test_a_blurred_photograph_is_refused_with_its_quality() -> None:
+def test_a_blurred_photograph_is_refused_with_its_quality():
     photo, inside = drawn()
     sharp = finger_of_photo(photo, PX_PER_MM, inside)
     assert sharp.quality > 80
     blurred = cv2.GaussianBlur(photo, (0, 0), 8)
-    with pytest.raises(BadInput, match=r"quality is \d+ of 100, below 10; "):
+    with bad_input(r"quality is \d+ of 100, below 10; "):
         finger_of_photo(blurred, PX_PER_MM, inside)
 
 
 @pytest.mark.parametrize("kind", ["noise", "stripes", "black"])
-def test_large_images_of_no_finger_are_refused(kind: str) -> None:
+def test_large_images_of_no_finger_are_refused(kind):
     shape = (1200, 900, 3)
     pixels = {
         "noise": lambda: np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8),
         "stripes": lambda: np.where((np.arange(900) // 8 % 2)[:, None], SKIN, 0) * np.ones(shape),
         "black": lambda: np.zeros(shape),
     }[kind]()
-    with pytest.raises(BadInput, match=r"no finger was found|in colour"):
+    with bad_input(r"no finger was found|in colour"):
         finger_of_photo(np.ascontiguousarray(pixels, dtype=np.uint8))
 
 
 @pytest.mark.slow
-def test_a_box_or_mask_that_does_not_fit_the_photograph_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_box_or_mask_that_does_not_fit_the_photograph_is_refused(tmp_path, capsys):
     photo, grey, mask = (str(tmp_path / name) for name in ("photo.png", "grey.png", "mask.png"))
     pixels, inside = drawn()
     cv2.imwrite(photo, pixels[..., ::-1])
@@ -221,9 +210,7 @@ def test_a_box_or_mask_that_does_not_fit_the_photograph_is_refused(
         assert not gallery.exists()
 
 
-def on_pale_ground(
-    ridge_contrast: float, *, finger: float = 1.0, shadow: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
+def on_pale_ground(ridge_contrast, *, finger=1.0, shadow=0.0):
     """Photograph by soft daylight, without flash, of a finger on a ground of nearly its colour, and
     its mask. `finger`: 0 leaves the ground alone; `shadow`: of a hand's finger on it, soft."""
     _, inside = drawn(8.0)
@@ -243,7 +230,7 @@ def on_pale_ground(
 
 
 @pytest.mark.parametrize("ridge_contrast", [0.03, 0.06])
-def test_a_finger_on_a_ground_of_nearly_its_colour_is_segmented(ridge_contrast: float) -> None:
+def test_a_finger_on_a_ground_of_nearly_its_colour_is_segmented(ridge_contrast):
     photo, inside = on_pale_ground(ridge_contrast)
     assert overlap(finger_in_photo(photo).mask, inside) > 0.95
 
@@ -253,17 +240,15 @@ def test_a_finger_on_a_ground_of_nearly_its_colour_is_segmented(ridge_contrast: 
     [(0.0, 0.0, 0.0), (0.0, 0.0, 0.3), (0.0, 1.0, 0.0)],
     ids=["ground alone", "a hand's shadow", "a smooth strip"],
 )
-def test_a_pale_ground_without_a_finger_is_refused(
-    ridge_contrast: float, finger: float, shadow: float
-) -> None:
+def test_a_pale_ground_without_a_finger_is_refused(ridge_contrast, finger, shadow):
     photo, _ = on_pale_ground(ridge_contrast, finger=finger, shadow=shadow)
-    with pytest.raises(BadInput, match="no finger was found"):
+    with bad_input("no finger was found"):
         finger_in_photo(photo)
 
 
-def test_a_mask_of_another_size_is_refused_by_its_header(photo: Path, tmp_path: Path) -> None:
+def test_a_mask_of_another_size_is_refused_by_its_header(photo, tmp_path):
     mask = tmp_path / "mask.png"
     cv2.imwrite(str(mask), np.full((20, 30), 255, np.uint8))
     mask.write_bytes(mask.read_bytes()[:50])
-    with pytest.raises(BadInput, match="has 20 x 30 pixels"):
+    with bad_input("has 20 x 30 pixels"):
         read_fingerphoto(photo, PX_PER_MM, PhotoFinger(mask))

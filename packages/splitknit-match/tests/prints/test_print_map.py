@@ -1,31 +1,28 @@
 """Where a print's pixels come from, and that prints have the right size, side and spacing."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 
-from bodies import Twin
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.finger.ridges import ink, relief_print
-from splitknit_match.prints.print_map import PrintMap, plane_map, resample, unrolled_map
+from splitknit_match.prints.print_map import plane_map, resample, unrolled_map
 from splitknit_match.prints.ridge_field import ridge_field
 from splitknit_match.prints.unroll import unroll
 from splitknit_simulator.finger.master_print import ink_print
 
 
 @pytest.fixture(scope="module")
-def laid(twin: Twin) -> PrintMap:
+def laid(twin):
     return unrolled_map(unroll(twin.grid()), "free")
 
 
 @pytest.fixture(scope="module")
-def printed(twin: Twin, laid: PrintMap) -> np.ndarray:
+def printed(twin, laid):
     return ink(*resample(twin.ridge_mm, twin.seen.mask, twin.seen.camera.pitch_mm, laid))
 
 
-def test_a_print_of_the_plane_is_the_relief_print(twin: Twin) -> None:
+def test_a_print_of_the_plane_is_the_relief_print(twin):
     pitch = twin.seen.camera.pitch_mm
     flat = plane_map(pitch, *twin.frame)
     mapped = ink(*resample(twin.ridge_mm, twin.seen.mask, pitch, flat))
@@ -37,7 +34,7 @@ def test_a_print_of_the_plane_is_the_relief_print(twin: Twin) -> None:
 
 @pytest.mark.parametrize("kind", ["plane", "free"])
 @pytest.mark.parametrize("ppi", [500.0, 1000.0])
-def test_points_come_back_from_the_print(twin: Twin, ppi: float, kind: str) -> None:
+def test_points_come_back_from_the_print(twin, ppi, kind):
     rng = np.random.default_rng(4)
     rows, columns = np.nonzero(cv2.erode(twin.seen.mask.astype(np.uint8), np.ones((31, 31))))
     drawn = rng.integers(0, rows.size, 200)
@@ -58,20 +55,18 @@ def test_points_come_back_from_the_print(twin: Twin, ppi: float, kind: str) -> N
     assert np.nanpercentile(np.abs(print_map.print_from_input(stored) - pixel), 99) < 0.1
 
 
-def test_points_beside_the_finger_are_nan(laid: PrintMap) -> None:
+def test_points_beside_the_finger_are_nan(laid):
     assert np.isnan(laid.input_from_print(np.array([[-5.0, 4.0], [0.0, 0.0]]))).all()
     assert np.isnan(laid.print_from_input(np.array([[-4000.0, 12.0], [np.nan, 3.0]]))).all()
 
 
-def _best(part: np.ndarray, whole: np.ndarray) -> tuple[float, tuple[int, int]]:
+def _best(part, whole):
     score = cv2.matchTemplate(np.float32(whole), np.float32(part), cv2.TM_CCOEFF_NORMED)
     _, best, _, place = cv2.minMaxLoc(score)
     return best, place
 
 
-def test_side_size_and_polarity_are_those_of_ink(
-    twin: Twin, laid: PrintMap, printed: np.ndarray
-) -> None:
+def test_side_size_and_polarity_are_those_of_ink(twin, laid, printed):
     """8 mm of the print match the finger's own ink print best as they are: not mirrored, turned,
     inverted or scaled."""
     ink_master = ink_print(twin.master)
@@ -92,16 +87,16 @@ def test_side_size_and_polarity_are_those_of_ink(
     assert ratio == pytest.approx(1.0, abs=0.02)
 
 
-def test_impossible_sizes_are_refused() -> None:
-    with pytest.raises(BadInput, match="ppi"):
+def test_impossible_sizes_are_refused():
+    with bad_input("ppi"):
         plane_map(0.1, np.eye(3), (10, 10), ppi=0)
-    with pytest.raises(BadInput, match="19685 x 19685 pixels, more than any finger"):  # else 20 GB
+    with bad_input("19685 x 19685 pixels, more than any finger"):  # else 20 GB
         plane_map(0.1, np.eye(3), (10_000, 10_000))
 
 
-def test_flat_skin_is_refused(laid: PrintMap) -> None:
+def test_flat_skin_is_refused(laid):
     flat = np.zeros(laid.columns.shape, np.float32)
-    with pytest.raises(BadInput, match="no ridges"):
+    with bad_input("no ridges"):
         ink(flat, np.ones_like(flat))
-    with pytest.raises(BadInput, match="nothing of the finger"):
+    with bad_input("nothing of the finger"):
         ink(flat, flat)

@@ -1,25 +1,23 @@
 """Unrolling: bodies whose flat form is known, and the twin's finger."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from bodies import PX_PER_MM, Twin, body_grid, plane_points
-from splitknit.errors import BadInput
+from bodies import PX_PER_MM, body_grid, plane_points
+from refusals import bad_input
 from splitknit.imaging.geometry import rotation_about
-from splitknit_match.prints.unroll import KINDS, SurfaceGrid, distortion, surface_grid, unroll
+from splitknit_match.prints.unroll import KINDS, distortion, surface_grid, unroll
 
 RADIUS = 8.0
 
 
-def _cylinder() -> tuple[np.ndarray, np.ndarray]:
+def _cylinder():
     x, _ = plane_points((320, 260))
     mask = np.abs(x) < RADIUS * np.sin(np.deg2rad(70))
     return np.sqrt(np.maximum(RADIUS**2 - x**2, 0.01)), mask
 
 
-def _off_arc(grid: SurfaceGrid, flat_mm: np.ndarray, slant_deg: float) -> float:
+def _off_arc(grid, flat_mm, slant_deg):
     """Largest difference of u from the cylinder's arc length, to the right, where it is no steeper
     than this."""
     x = grid.points_mm[..., 0][grid.inside]
@@ -28,14 +26,14 @@ def _off_arc(grid: SurfaceGrid, flat_mm: np.ndarray, slant_deg: float) -> float:
     return float(np.abs(difference - np.median(difference)).max())
 
 
-def _cap() -> tuple[np.ndarray, np.ndarray]:
+def _cap():
     x, y = plane_points((300, 300))
     r2 = x**2 + y**2
     return np.sqrt(np.maximum(RADIUS**2 - r2, 0.01)), r2 < (RADIUS * np.sin(np.deg2rad(62))) ** 2
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_cylinder_unrolls_without_distortion(kind: str) -> None:
+def test_a_cylinder_unrolls_without_distortion(kind):
     grid = body_grid(*_cylinder())
     laid = unroll(grid, kind)
     assert laid.distortion["length_p95_percent"] < 1.5
@@ -45,7 +43,7 @@ def test_a_cylinder_unrolls_without_distortion(kind: str) -> None:
     assert np.corrcoef(flat[:, 1], y)[0, 1] > 0.9999  # v is to the tip
 
 
-def test_a_dome_is_relaxed() -> None:
+def test_a_dome_is_relaxed():
     """No map of a dome is free of distortion; relaxing removes much of it."""
     grid = body_grid(*_cap())
     arc = unroll(grid, "arc").distortion
@@ -54,7 +52,7 @@ def test_a_dome_is_relaxed() -> None:
     assert free["length_p95_percent"] > 3.0  # Gauss's theorem: something must give
 
 
-def test_distortion_is_that_of_a_known_stretch() -> None:
+def test_distortion_is_that_of_a_known_stretch():
     grid = body_grid(np.zeros((200, 200)), np.ones((200, 200), bool))
     flat = grid.points_mm[..., :2] * [1.1, 1.0]
     wanted = {"length_median_percent": 10.0, "length_p95_percent": 10.0}
@@ -64,7 +62,7 @@ def test_distortion_is_that_of_a_known_stretch() -> None:
     assert distortion(grid.points_mm, flat, grid.inside & False) == {}
 
 
-def test_relaxing_keeps_the_ridge_spacing_of_a_finger(twin: Twin) -> None:
+def test_relaxing_keeps_the_ridge_spacing_of_a_finger(twin):
     """The distortion of the worst direction bounds the error of a ridge's period."""
     figures = unroll(twin.grid()).distortion
     assert figures["length_median_percent"] < 2.0
@@ -72,7 +70,7 @@ def test_relaxing_keeps_the_ridge_spacing_of_a_finger(twin: Twin) -> None:
     assert figures["length_p95_percent"] < 0.7 * arc["length_p95_percent"]
 
 
-def test_a_cylinder_turned_by_20_deg_unrolls_to_its_arc() -> None:
+def test_a_cylinder_turned_by_20_deg_unrolls_to_its_arc():
     x, y = plane_points((360, 360))
     angle = np.deg2rad(20.0)
     across = x * np.cos(angle) + y * np.sin(angle)
@@ -87,7 +85,7 @@ def test_a_cylinder_turned_by_20_deg_unrolls_to_its_arc() -> None:
     assert _off_arc(grid, laid.flat_mm, 55) < 0.05
 
 
-def test_a_cylinder_seen_from_60_mm_unrolls_to_its_arc() -> None:
+def test_a_cylinder_seen_from_60_mm_unrolls_to_its_arc():
     """Points lie nearer to the axis than their pixels."""
     _, mask = _cylinder()
     x, y = plane_points((320, 260))
@@ -100,22 +98,22 @@ def test_a_cylinder_seen_from_60_mm_unrolls_to_its_arc() -> None:
     assert _off_arc(grid, unroll(grid).flat_mm, 55) < 0.05
 
 
-def test_surfaces_of_no_finger_are_refused() -> None:
+def test_surfaces_of_no_finger_are_refused():
     flat = np.zeros((40, 40), np.float32)
     mask = np.zeros((40, 40), bool)
     mask[:4, :4] = True
-    with pytest.raises(BadInput, match="too small"):
+    with bad_input("too small"):
         surface_grid(flat, mask, 0.06, np.eye(3), (40, 40))
-    with pytest.raises(BadInput, match="pitch_mm"):
+    with bad_input("pitch_mm"):
         surface_grid(flat, ~mask, float("nan"), np.eye(3), (40, 40))
     wide = np.zeros((300, 300), np.float32)
     # else a grid of gigabytes
-    with pytest.raises(BadInput, match="1520 mm long, more than any finger"):
+    with bad_input("1520 mm long, more than any finger"):
         surface_grid(wide, wide == 0, 5.0, np.eye(3), wide.shape)
-    with pytest.raises(BadInput, match="pitch_mm"):
+    with bad_input("pitch_mm"):
         surface_grid(wide, wide == 0, 1e-4, np.eye(3), wide.shape)
-    with pytest.raises(BadInput, match="too small"):
+    with bad_input("too small"):
         surface_grid(flat, np.ones_like(mask), 0.001, np.eye(3), flat.shape)
     nan = wide * np.float32(np.nan)
-    with pytest.raises(BadInput, match="no finite height"):
+    with bad_input("no finite height"):
         surface_grid(wide, wide == 0, 0.05, np.eye(3), wide.shape, xy_mm=(nan, wide))

@@ -1,11 +1,7 @@
 """The documentation's score file and its Python run."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
-
-import pytest
 
 from splitknit.cli.main import main
 
@@ -14,9 +10,7 @@ PAGE = (Path(__file__).resolve().parents[4] / "docs" / "guide" / "evaluation.md"
 )
 
 
-def test_the_documented_scores_are_evaluated(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_documented_scores_are_evaluated(tmp_path, capsys):
     (text,) = re.findall(r"<!-- example scores.csv -->\n```\n(.*?)```", PAGE, flags=re.DOTALL)
     (tmp_path / "scores.csv").write_text(text)
     files = ["--scores", str(tmp_path / "scores.csv"), "--out", str(tmp_path / "report")]
@@ -25,7 +19,7 @@ def test_the_documented_scores_are_evaluated(
     assert (tmp_path / "report" / "report.html").exists()
 
 
-def test_the_documented_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_documented_python_runs(capsys):
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
     exec(compile(code, "evaluation.md", "exec"), {})
     assert capsys.readouterr().out.count("Interval(value=") == 2

@@ -1,11 +1,8 @@
 """The specular image of a polarised capture: in the result, its files, the report, and as a
 print."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,15 +10,13 @@ import pytest
 import splitknit
 import splitknit_match
 import splitknit_simulator
-from splitknit.capture import Capture
 from splitknit.cli.main import main
 from splitknit.io.images import read_image
 from splitknit.io.results import read_result
-from splitknit.reconstruction import Reconstruction
 
 
 @pytest.fixture(scope="module")
-def polarised() -> Capture:
+def polarised():
     """A finger with specular reflection, and without it as crossed films show it."""
     glossy, matt = (
         splitknit_simulator.simulate_capture(
@@ -35,33 +30,29 @@ def polarised() -> Capture:
 
 
 @pytest.fixture(scope="module")
-def plain(polarised: Capture) -> Capture:
+def plain(polarised):
     """The same light without films."""
     return replace(polarised, bands={"white": replace(polarised.bands["white"], polarisation="")})
 
 
 @pytest.fixture(scope="module")
-def result(polarised: Capture) -> Reconstruction:
+def result(polarised):
     return splitknit.reconstruct(polarised, "ea")
 
 
 @pytest.fixture(scope="module")
-def folder(
-    result: Reconstruction, polarised: Capture, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def folder(result, polarised, tmp_path_factory):
     out = tmp_path_factory.mktemp("specular") / "result"
     result.save(out, polarised)
     return out
 
 
-def printing(folder: Path, tmp_path: Path) -> list[str]:
+def printing(folder, tmp_path):
     return f"print {folder} --method specular --out {tmp_path}/p".split()
 
 
 @pytest.mark.slow
-def test_a_polarised_capture_alone_has_a_specular_image(
-    result: Reconstruction, plain: Capture
-) -> None:
+def test_a_polarised_capture_alone_has_a_specular_image(result, plain):
     np.testing.assert_array_equal(np.isfinite(result.specular), result.mask)
     values = result.specular[result.mask]
     assert abs(values.mean()) < 0.1
@@ -70,7 +61,7 @@ def test_a_polarised_capture_alone_has_a_specular_image(
 
 
 @pytest.mark.slow
-def test_the_specular_image_is_kept_with_the_result(result: Reconstruction, folder: Path) -> None:
+def test_the_specular_image_is_kept_with_the_result(result, folder):
     again = read_result(folder).specular
     assert again is not None
     np.testing.assert_array_equal(again, result.specular)
@@ -84,7 +75,7 @@ def test_the_specular_image_is_kept_with_the_result(result: Reconstruction, fold
 
 
 @pytest.mark.slow
-def test_the_specular_image_is_printed(folder: Path, tmp_path: Path, capsys) -> None:
+def test_the_specular_image_is_printed(folder, tmp_path, capsys):
     assert main([*printing(folder, tmp_path), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["method"], facts["surface"]) == ("specular", "plane")
@@ -93,9 +84,7 @@ def test_the_specular_image_is_printed(folder: Path, tmp_path: Path, capsys) -> 
 
 
 @pytest.mark.slow
-def test_without_films_there_is_no_specular_image_to_print(
-    plain: Capture, tmp_path: Path, capsys
-) -> None:
+def test_without_films_there_is_no_specular_image_to_print(plain, tmp_path, capsys):
     splitknit.reconstruct(plain, "ea").save(tmp_path / "plain", plain)
     assert main(printing(tmp_path / "plain", tmp_path)) == 2
     assert "there is no specular image" in capsys.readouterr().err

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput, Refused
+from refusals import bad_input
+from splitknit.errors import Refused
 from splitknit.imaging.view import plane_points
 from splitknit.model import Camera, Rig
 from splitknit_rig.calibration import light_sources
@@ -190,7 +191,7 @@ def test_spaces_blank_lines_comments_and_further_columns_are_ignored():
 )
 def test_a_table_that_cannot_be_read_is_refused(change, words):
     lines = change(table(cast(TWO)))
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         read_tips("\n".join(lines))
 
 
@@ -212,16 +213,16 @@ def test_a_table_that_cannot_be_read_is_refused(change, words):
 def test_an_incomplete_table_is_refused(change, words):
     tips = list(cast(TWO))
     check_tips(tips, CAMERA.image_size)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         check_tips(change(tips), CAMERA.image_size)
 
 
 def test_a_missing_shadow_and_a_nail_outside_the_circle_are_refused():
     tips = list(cast(TWO))
     at_nail = [*tips[:3], replace(tips[3], tip_px=tips[3].nail_px), *tips[4:]]
-    with pytest.raises(BadInput, match="white 1, nail 2: there is no shadow"):
+    with bad_input("white 1, nail 2: there is no shadow"):
         by_circle(at_nail, CAMERA, CIRCLE)
-    with pytest.raises(BadInput, match=r"white 0, nail 1: .*circle"):
+    with bad_input(r"white 0, nail 1: .*circle"):
         by_circle(tips, CAMERA, Circle(5.0, 140.0))
 
 
@@ -229,9 +230,9 @@ def test_a_nail_number_must_be_one_place():
     tips = list(cast(TWO))
     check_nails(tips, CAMERA)
     x, y = tips[4].nail_px
-    with pytest.raises(BadInput, match=r"nail 1 .* one position"):
+    with bad_input(r"nail 1 .* one position"):
         check_nails([*tips[:4], replace(tips[4], nail_px=(x + 300, y)), *tips[5:]], CAMERA)
-    with pytest.raises(BadInput, match=r"nails 1 and 2 .* one"):
+    with bad_input(r"nails 1 and 2 .* one"):
         check_nails(cast([(-6, -4), (-6, -3.9)]), CAMERA)
 
 

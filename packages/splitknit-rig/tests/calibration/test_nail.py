@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import Camera
 from splitknit_rig.calibration.lights import Circle, Tip
 from splitknit_rig.calibration.nail import Nail, by_joint_fit
@@ -136,5 +136,5 @@ def test_the_nail_may_stand_elsewhere_under_the_other_band():
 
 
 def test_one_nail_position_is_refused():
-    with pytest.raises(BadInput, match="two nail positions"):
+    with bad_input("two nail positions"):
         by_joint_fit(seen(rig(0), ORTHOGRAPHIC, [(3, 3)]), ORTHOGRAPHIC, CIRCLE)

@@ -1,29 +1,26 @@
 """Films before LEDs and camera, from simulated photographs of a card and a black ball, and their
 use on captures."""
 
-from __future__ import annotations
-
 import json
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from enrolled import facts_of, refusal_of
+from refusals import bad_input
 from small_capture import edit
-from splitknit.capture import Band, Capture
-from splitknit.errors import BadInput
+from splitknit.capture import Band
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
 from splitknit.model import Camera, Films
 from splitknit.observation.films import contrast
 from splitknit.observation.light import Light
-from splitknit.observation.observe import Observation, observe
+from splitknit.observation.observe import observe
 from splitknit_rig.calibration.polarisers import measure_ball
 from splitknit_simulator.bench_photos import behind_films, drawn_films
 from splitknit_simulator.calibration_set import solids
@@ -33,7 +30,7 @@ from splitknit_simulator.rigs import built_rig
 SCALE = 0.2
 
 
-def photographed(folder: Path, seed: int, extinction: float) -> Films:
+def photographed(folder, seed, extinction):
     """Write the photographs of a rig's films, and return them."""
     rig = built_rig(seed, scale=SCALE)
     films, ball = drawn_films(rig, np.random.SeedSequence(seed), BenchSettings(), extinction)
@@ -48,12 +45,12 @@ def photographed(folder: Path, seed: int, extinction: float) -> Films:
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Films]]:
+def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("films")
     yield folder / "polarisers", photographed(folder, 5, 5000.0)
 
 
-def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Films:
+def check(folder, films, tmp_path, capsys):
     """Films that the photographs give, compared with the true ones."""
     out = tmp_path / "rig.json"
     facts = facts_of(capsys, f"calibrate polarisers {folder}", "--out", out)
@@ -61,10 +58,10 @@ def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixt
     assert measured is not None and measured.leds == films.leds
     low, high = np.transpose(facts["leak_interval"])
     assert (low <= films.leak).all() and (films.leak <= high).all()
-    np.testing.assert_allclose(measured.brightness, films.brightness, rtol=0.005)
-    np.testing.assert_allclose(measured.shift_px, films.shift_px, atol=0.1)
+    assert_allclose(measured.brightness, films.brightness, rtol=0.005)
+    assert_allclose(measured.shift_px, films.shift_px, atol=0.1)
     assert measured.scale == pytest.approx(films.scale, abs=1e-4)
-    np.testing.assert_allclose(measured.leak, films.leak, rtol=0.05, atol=1e-4)
+    assert_allclose(measured.leak, films.leak, rtol=0.05, atol=1e-4)
     assert facts["findings"] == []
     assert max(facts["residual_rms_percent"]) < 1.0
     return measured
@@ -90,52 +87,50 @@ def test_the_highlight_of_neighbouring_leds_is_measured(bench):
         leds=tuple((k + 7,) for (k,) in crossed.leds),
     )
     light = measure_ball(replace(ball, bands={**ball.bands, "white_crossed": moved}), films)
-    np.testing.assert_allclose(
-        light[..., 0], usual[..., 0], rtol=0.03, atol=2e-5 * usual[..., 0].max()
-    )
+    assert_allclose(light[..., 0], usual[..., 0], rtol=0.03, atol=2e-5 * usual[..., 0].max())
 
 
-def _dark(folder: Path) -> Capture:
+def _dark(folder):
     return read_capture(folder, may_be_dark=True)
 
 
-def _swap(folder: Path) -> None:
-    def change(document: Any) -> None:
+def _swap(folder):
+    def change(document):
         white, crossed = document["bands"]["white"], document["bands"]["white_crossed"]
         white["images"], crossed["images"] = crossed["images"], white["images"]
 
     edit(folder / "ball" / "capture.json", change)
 
 
-def _clip(folder: Path) -> None:
+def _clip(folder):
     file = folder / "ball" / "white_2.png"
     image = read_image(file)
     image[np.unravel_index(int(image[..., 1].argmax()), image.shape[:2])] = 65535
     write_image(file, image)
 
 
-def _dull(folder: Path) -> None:
+def _dull(folder):
     shutil.rmtree(folder / "ball")
     shutil.copytree(folder / "card", folder / "ball")
 
 
-def _plain(folder: Path) -> None:
+def _plain(folder):
     rng = np.random.default_rng(0)
     for path in (folder / "card").glob("white_*.png"):
         image = read_image(path)
         write_image(path, (40000 + rng.normal(0, 300, image.shape)).astype(np.uint16))
 
 
-def _no_exposures(folder: Path) -> None:
-    def change(document: Any) -> None:
+def _no_exposures(folder):
+    def change(document):
         for entry in document["bands"]["white_crossed"]["images"]:
             entry["exposure_s"] *= 9
 
     edit(folder / "card" / "capture.json", change)
 
 
-def _alone(folder: Path) -> None:
-    def change(document: Any) -> None:
+def _alone(folder):
+    def change(document):
         del document["bands"]["white_crossed"], document["bands"]["white"]["polarisation"]
 
     edit(folder / "card" / "capture.json", change)
@@ -175,10 +170,10 @@ def test_photographs_that_do_not_show_the_films_are_refused(bench, spoil, words,
 )
 def test_rig_files_with_wrong_films_are_refused(change, words):
     rig = replace(built_rig(1, scale=0.05), films=Films((0,), (0.01,), ((1.0, 1.0, 1.0),)))
-    document: Any = rig_to_json(rig)
+    document = rig_to_json(rig)
     assert rig_from_json(document).films == rig.films
     document["films"] |= change
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         rig_from_json(document)
 
 
@@ -189,7 +184,7 @@ def test_measured_films_align_the_crossed_series(bench, tmp_path):
     measured = observe(replace(capture, rig=replace(capture.rig, films=films)))
     assert measured.facts == {"films": "measured"}
 
-    def apart(of: Observation) -> float:
+    def apart(of):
         p, c = (of.bands[name].stack for name in ("white", "white_crossed"))
         inner = np.s_[..., 20:-20, 20:-20]
         return float(np.abs(c - p)[inner].mean() / p[inner].mean())
@@ -202,7 +197,7 @@ def test_measured_films_align_the_crossed_series(bench, tmp_path):
     write_capture(capture, tmp_path / "c")
     others = replace(films, leds=(*films.leds[1:], 12))
     write_rig(replace(capture.rig, films=others), tmp_path / "c" / "rig.json")
-    with pytest.raises(BadInput, match="LED 0 lights a polarised image"):
+    with bad_input("LED 0 lights a polarised image"):
         observe(_dark(tmp_path / "c"))
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.nominal import default_rig
 from splitknit_rig.calibration.sphere import (
     Ball,
@@ -135,15 +135,15 @@ def test_simulated_balls_give_the_directions_of_their_leds(chrome):
 
 
 def test_images_and_masks_without_a_ball_are_refused():
-    with pytest.raises(BadInput, match="empty"):
+    with bad_input("empty"):
         balls_of_mask(np.zeros(SIZE, bool))
     bar = np.zeros(SIZE, bool)
     bar[50:60] = True
-    with pytest.raises(BadInput, match="not a disc"):
+    with bad_input("not a disc"):
         balls_of_mask(bar)[0]
-    with pytest.raises(BadInput, match="`mask`"):
+    with bad_input("`mask`"):
         find_ball(np.repeat(bar[None].astype(np.float32), 2, axis=0))
-    with pytest.raises(BadInput, match="image 0"):
+    with bad_input("image 0"):
         grey_directions(np.zeros((1, *SIZE), np.float32), BALL)
-    with pytest.raises(BadInput, match="outside"):
+    with bad_input("outside"):
         chrome_directions(np.ones((1, *SIZE), np.float32), Ball(1000.0, 1000.0, 5.0))

@@ -1,10 +1,6 @@
 """The Raspberry Pi's devices keep the contract: gpiozero on mock pins, and a small picamera2 of our
 own."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-
 import gpiozero
 import pytest
 from gpiozero.pins.mock import MockFactory
@@ -17,24 +13,24 @@ from splitknit_rig.capture.pins import NIR_PINS, WHITE_PINS
 PINS = WHITE_PINS + NIR_PINS
 
 
-def mock_pins() -> MockFactory:
+def mock_pins():
     """Pins of a Raspberry Pi that is not there."""
     gpiozero.Device.pin_factory = MockFactory()
     return gpiozero.Device.pin_factory
 
 
 @pytest.fixture
-def pins() -> Iterator[MockFactory]:
+def pins():
     factory = mock_pins()
     yield factory
     factory.reset()
     gpiozero.Device.pin_factory = None
 
 
-def recording_line(world: World):
+def recording_line(world):
     """Lines of gpiozero that tell the world when they are switched."""
 
-    def make(pin: int, **options):
+    def make(pin, **options):
         line = gpiozero.DigitalOutputDevice(pin, **options)
         number, on, off = PINS.index(pin), line.on, line.off
 
@@ -68,7 +64,7 @@ def burning():
 """
 
     @pytest.fixture(autouse=True)
-    def hardware(self, pins: MockFactory):
+    def hardware(self, pins):
         self.pins = pins
 
     def bank(self):
@@ -97,7 +93,7 @@ class TestPiCamera(CameraContract):
     raw = False
 
     @pytest.fixture(autouse=True)
-    def hardware(self, pins: MockFactory, monkeypatch: pytest.MonkeyPatch):
+    def hardware(self, pins, monkeypatch):
         self.world = World()
         monkeypatch.setattr(FakePicamera2, "world", self.world)
 

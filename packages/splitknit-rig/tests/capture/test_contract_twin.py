@@ -1,19 +1,16 @@
 """The twin's devices keep the contract."""
 
-from __future__ import annotations
-
 import pytest
 
 from contract import CameraContract, LightContract
 from splitknit.nominal import default_rig
 from splitknit_simulator.camera.device import Clock, TwinCamera, TwinLightBank
-from splitknit_simulator.twin import FingerScene
 
 
 class DarkRoom:
     """LEDs and nothing to see."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         rig = default_rig(0.05)
         self.camera, self.leds = rig.camera, rig.leds
 
@@ -57,7 +54,7 @@ burning = lambda: bank.burns
 
 class TestTwinCamera(CameraContract):
     @pytest.fixture(autouse=True)
-    def look_at(self, finger: FingerScene):
+    def look_at(self, finger):
         self.scene = finger
 
     def devices(self):

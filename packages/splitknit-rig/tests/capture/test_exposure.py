@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit.devices import ExposureRange, Frame
-from splitknit.errors import BadInput
 from splitknit_rig.capture.exposure import ExposureSettings, find_exposure, survey
 
 CAMERA = ExposureRange(1e-4, 0.2, 1.0, 8.0)
@@ -51,11 +51,11 @@ def test_the_brightest_led_reaches_the_target_at_any_strength(strength):
 
 
 def test_light_beyond_the_range_of_exposures_is_refused():
-    with pytest.raises(BadInput, match=r"overexposed even with the shortest.*lid"):
+    with bad_input(r"overexposed even with the shortest.*lid"):
         Bench({0: 5e4, 1: 5e4}).find()
-    with pytest.raises(BadInput, match="nothing is seen under any LED"):
+    with bad_input("nothing is seen under any LED"):
         Bench({0: 1e-3, 1: 1e-3}).find()
-    with pytest.raises(BadInput, match="too dark: with 66 ms at gain 8"):
+    with bad_input("too dark: with 66 ms at gain 8"):
         Bench({0: 0.3, 1: 0.3}).find()
 
 
@@ -67,5 +67,5 @@ def test_the_target_is_reached_and_ambient_light_subtracted_from_expectations():
 
 @pytest.mark.parametrize("wrong", [{"target": 0.0}, {"target": 0.99}, {"longest_s": 0}])
 def test_exposure_settings_out_of_range_are_refused(wrong):
-    with pytest.raises(BadInput, match="exposure"):
+    with bad_input("exposure"):
         ExposureSettings(**wrong)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.nominal import default_rig
 from splitknit_rig.capture.pins import DEFAULT_PINS, led_names, pins_of
 
@@ -40,5 +40,5 @@ def test_the_rig_file_assigns_the_lines():
     ],
 )
 def test_wrong_lines_are_refused(pins, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         pins_of(with_pins(pins))

@@ -27,7 +27,7 @@ def test_it_shows_sharpness_and_picture(tmp_path: Path):
 
 
 def test_it_is_sharpest_in_focus():
-    def sharpness(aperture_mm: float) -> float:
+    def sharpness(aperture_mm):
         changes = {"render.aperture_mm": aperture_mm}
         shown = []
         with opener_of("twin", changes, None, 0.2, target="phantom")(0, 0) as devices:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from faulty_scene import Faults, FaultyScene
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.nominal import default_rig
 from splitknit.observation.light import Light
 from splitknit_rig.capture.session import SessionSettings, run_session
@@ -184,12 +184,12 @@ def test_an_led_that_dies_is_named(finger, faulty):
     ],
 )
 def test_a_session_with_dead_leds_or_ambient_light_is_refused(finger, faulty, faults, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         captured(finger, faulty, **faults)
 
 
 def test_a_session_without_a_finger_is_refused(finger, faulty):
-    with pytest.raises(BadInput, match="no finger is seen"):
+    with bad_input("no finger is seen"):
         captured(finger, faulty, moves_mm={-1: (60.0, 0.0)})
 
 
@@ -279,11 +279,11 @@ def test_a_rig_that_does_not_match_the_devices_is_refused(finger):
         (replace(rig, leds=(*white[:2], *nir, *nir[:5])), r"2 white LEDs.*three"),
         (replace(rig, leds=(*rig.leds[:13], replace(nir[6], band="uv"))), "band 'uv'"),
     ):
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             run_session(camera, lights, wrong)
 
 
 @pytest.mark.parametrize("wrong", [{"moved_mm": -1.0}, {"retries": -1}])
 def test_check_settings_out_of_range_are_refused(wrong):
-    with pytest.raises(BadInput, match="checks"):
+    with bad_input("checks"):
         CheckSettings(**wrong)

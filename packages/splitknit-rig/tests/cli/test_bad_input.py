@@ -1,62 +1,55 @@
 """Every kind of bad input through the command line: one sentence, code 2, nothing half-written."""
 
-from __future__ import annotations
-
 import codecs
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from enrolled import facts_of, words_of
 from small_capture import copy_of, edit, repaint
 from splitknit.cli.main import main
 from splitknit.io.images import read_image, write_image
 
-Damage = Callable[[Path], object]
 
-
-def of_capture(change: Callable[[Any], object]) -> Damage:
+def of_capture(change):
     return lambda folder: edit(folder / "capture.json", change)
 
 
-def of_rig(change: Callable[[Any], object]) -> Damage:
+def of_rig(change):
     return lambda folder: edit(folder / "rig.json", change)
 
 
-def of_image(name: str, change: Callable[[Any], Any]) -> Damage:
+def of_image(name, change):
     return lambda folder: repaint(folder / name, change)
 
 
-def of_all(change: Callable[[Any], Any]) -> Damage:
-    def damage(folder: Path) -> None:
+def of_all(change):
+    def damage(folder):
         for file in sorted(folder.glob("*.png")):
             repaint(file, change)
 
     return damage
 
 
-def resized(document: Any, shape: tuple[int, int]) -> None:
+def resized(document, shape):
     document["camera"]["image_size"] = list(shape)
 
 
-def too_close(folder: Path) -> None:
+def too_close(folder):
     """The finger goes on to the left, to the right and below; only around its tip the background
     shows."""
     of_all(lambda pixels: pixels[:, 175:285])(folder)
     of_rig(lambda document: resized(document, (330, 110)))(folder)
 
 
-def noise(level: int, spread: int) -> Damage:
-    def damage(folder: Path) -> None:
+def noise(level, spread):
+    def damage(folder):
         rng = np.random.default_rng(0)
         of_all(lambda pixels: rng.integers(level, level + spread, pixels.shape).astype(np.uint8))(
             folder
@@ -65,8 +58,8 @@ def noise(level: int, spread: int) -> Damage:
     return damage
 
 
-def mask_of(shape: tuple[int, int], rows: slice, columns: slice) -> Damage:
-    def damage(folder: Path) -> None:
+def mask_of(shape, rows, columns):
+    def damage(folder):
         mask = np.zeros((*shape, 1), dtype=np.uint8)
         mask[rows, columns] = 255
         write_image(folder / "given.png", mask)
@@ -75,8 +68,8 @@ def mask_of(shape: tuple[int, int], rows: slice, columns: slice) -> Damage:
     return damage
 
 
-def exchanged(first: str, second: str) -> Damage:
-    def damage(folder: Path) -> None:
+def exchanged(first, second):
+    def damage(folder):
         both = (folder / first).read_bytes(), (folder / second).read_bytes()
         for name, data in zip((second, first), both, strict=True):
             (folder / name).write_bytes(data)
@@ -84,14 +77,14 @@ def exchanged(first: str, second: str) -> Damage:
     return damage
 
 
-def all_under_one_light(folder: Path) -> None:
+def all_under_one_light(folder):
     first, rng = read_image(folder / "nir_0.png").astype(np.float64), np.random.default_rng(0)
     for k in range(7):
         noisy = np.clip(first + rng.normal(0, 1.5, first.shape), 0, 255).astype(np.uint8)
         repaint(folder / f"nir_{k}.png", lambda pixels, noisy=noisy: noisy)
 
 
-def shrunk(pixels: Any) -> Any:
+def shrunk(pixels):
     """The finger of another: two thirds as wide."""
     small = cv2.resize(pixels, None, fx=0.66, fy=1.0, interpolation=cv2.INTER_AREA).reshape(
         len(pixels), -1, pixels.shape[2]
@@ -102,20 +95,20 @@ def shrunk(pixels: Any) -> Any:
     )
 
 
-def cut_short(name: str, keep: float) -> Damage:
-    def damage(folder: Path) -> None:
+def cut_short(name, keep):
+    def damage(folder):
         data = (folder / name).read_bytes()
         (folder / name).write_bytes(data[: int(keep * len(data))])
 
     return damage
 
 
-def linked_out(folder: Path) -> None:
+def linked_out(folder):
     shutil.move(folder / "white_2.png", folder.parent / "white_2.png")
     (folder / "white_2.png").symlink_to(folder.parent / "white_2.png")
 
 
-def truth_of_another(folder: Path) -> None:
+def truth_of_another(folder):
     np.savez(
         folder / "truth.npz",
         height_mm=np.ones((4, 5)),
@@ -125,12 +118,12 @@ def truth_of_another(folder: Path) -> None:
     of_capture(lambda document: document.update(truth="truth.npz"))(folder)
 
 
-def white(document: Any) -> Any:
+def white(document):
     return document["bands"]["white"]
 
 
 # name: (what is done to a good capture, words that the sentence must hold)
-KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
+KINDS = {
     "missing image": (
         lambda folder: (folder / "white_3.png").unlink(),
         ("white_3.png", "does not exist"),
@@ -212,7 +205,7 @@ KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
 }
 
 
-def refused(capsys, words: tuple[str, ...], *arguments: object) -> None:
+def refused(capsys, words, *arguments):
     """`reconstruct` refuses in one sentence that holds the words."""
     assert main(["reconstruct", *map(str, arguments)]) == 2
     printed = capsys.readouterr()
@@ -286,7 +279,7 @@ def test_jpeg_is_detected_in_the_pixels(twin_folder, tmp_path, capsys):
     for quality in (0, 75, 95):
         folder = copy_of(twin_folder, tmp_path / f"capture_{quality}")
 
-        def through_jpeg(image: NDArray[Any], quality: int = quality) -> NDArray[Any]:
+        def through_jpeg(image, quality=quality):
             data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
             return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED)).reshape(image.shape)
 
@@ -351,7 +344,7 @@ def test_a_path_that_is_no_capture_is_refused(name, tmp_path, capsys):
 
 
 @pytest.fixture
-def nobody(tmp_path: Path) -> Iterator[None]:
+def nobody(tmp_path):
     """Root gives up its rights for a while; others have none to give up."""
     own = [tmp_path, *tmp_path.parents]
     for parent in own[: own.index(Path(tempfile.gettempdir()))]:
@@ -371,7 +364,7 @@ def nobody(tmp_path: Path) -> Iterator[None]:
 
 
 @pytest.fixture
-def closed(request: pytest.FixtureRequest, twin_folder: Path, tmp_path: Path) -> Iterator[Path]:
+def closed(request, twin_folder, tmp_path):
     """A capture of which one file, or the folder itself, may not be read."""
     folder = copy_of(twin_folder, tmp_path / "capture")
     mode = (folder / request.param).stat().st_mode

@@ -1,12 +1,9 @@
 """``splitknit calibrate radiometry``: a folder in, a rig or a verdict out, one sentence where it
 cannot."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,36 +21,36 @@ SCALE = 0.08
 
 
 @pytest.fixture(scope="module")
-def card(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def card(tmp_path_factory):
     folder = tmp_path_factory.mktemp("card") / "card"
     card_folder(folder, seed=2, scale=SCALE)
     return folder
 
 
 @pytest.fixture(scope="module")
-def calibrated(card: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def calibrated(card, tmp_path_factory):
     out = tmp_path_factory.mktemp("rigs") / "rig.json"
     assert run(card, "--out", out) == 0
     return out
 
 
 @pytest.fixture
-def own(card: Path, tmp_path: Path) -> Path:
+def own(card, tmp_path):
     """A copy of the folder to change."""
     return Path(shutil.copytree(card, tmp_path / "own"))
 
 
-def run(*words: Any) -> int:
+def run(*words):
     return main(["calibrate", "radiometry", *map(str, words)])
 
 
-def refusal(capsys: pytest.CaptureFixture[str], *words: Any) -> str:
+def refusal(capsys, *words):
     """Return the one sentence with which a run is refused."""
     capsys.readouterr()
     return refusal_of(capsys, "calibrate", "radiometry", *words)
 
 
-def facts_with(capsys: pytest.CaptureFixture[str], *words: Any) -> dict[str, Any]:
+def facts_with(capsys, *words):
     return facts_of(capsys, "calibrate", "radiometry", *words)
 
 
@@ -81,7 +78,7 @@ def test_a_card_calibrates_brightness_beam_and_lens(card, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_the_tilt_of_the_base_comes_from_the_camera_calibration(card, tmp_path, capsys):
-    def tilt_of(deviation: float, *words: Any) -> Any:
+    def tilt_of(deviation, *words):
         plane = {"tilt_xy_deg": [0.3, -0.2], "tilt_deg_deviation": deviation}
         rig = replace(
             as_placed(built_rig(2, scale=SCALE)),
@@ -103,7 +100,7 @@ def test_the_same_folder_gives_the_same_bytes(card, calibrated, tmp_path):
 
 
 def test_a_later_card_names_drifted_leds(card, calibrated, own, capsys):
-    def printed(*words: Any) -> str:
+    def printed(*words):
         return words_of(capsys, "calibrate", "radiometry", *words)
 
     assert "All LEDs are as calibrated, within 3 %." in printed(card, "--check", calibrated)
@@ -130,7 +127,7 @@ def test_srgb_files_that_state_linear_are_refused(tmp_path, capsys):
 
 
 def test_processed_pictures_are_refused(own, tmp_path, capsys):
-    def contrast(pixels: Any) -> Any:
+    def contrast(pixels):
         light = pixels / 65535
         return np.round(65535 * (light - 0.03 * np.sin(2 * np.pi * light))).astype(np.uint16)
 

@@ -1,8 +1,6 @@
 """``splitknit calibrate lights`` on domes: one drawn here by following rays, and two sets of
 photographs of one home-made dome."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,9 +1,6 @@
 """``splitknit simulate --bench`` and ``splitknit reconstruct --rig``."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +17,7 @@ SCALE = 0.06
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bench(tmp_path_factory):
     out = tmp_path_factory.mktemp("bench") / "bench"
     call = f"simulate --bench --seed 3 --scale {SCALE} --out {out}".split()
     assert main([*call, "--set", "boards=3", "--set", "nails=2"]) == 0

@@ -1,27 +1,22 @@
-from __future__ import annotations
-
 import json
-from typing import Any
 
 import pytest
 
 from handmade import capture_of, finger
-from splitknit.capture import Capture
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
-from splitknit.reconstruction import Reconstruction
 from splitknit.report.result import FILES
 
 
 @pytest.fixture
-def short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_cut(monkeypatch):
     """Put a hand-made finger in the place of the twin and the pipeline."""
     result, truth = finger()
 
-    def reconstruct(capture: Capture, preset: str) -> Reconstruction:
+    def reconstruct(capture, preset):
         return finger(preset=preset)[0]
 
-    def simulate(seed: int, pattern: str | None, settings: Any) -> tuple[Capture, dict[str, Any]]:
+    def simulate(seed, pattern, settings):
         return capture_of(result), truth
 
     monkeypatch.setattr("splitknit.reconstruct", reconstruct)

@@ -1,12 +1,9 @@
 """The same capture gives the same bytes, whatever the number of threads."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -24,7 +21,7 @@ for capture, preset, out in zip(sys.argv[2::3], sys.argv[3::3], sys.argv[4::3], 
 """
 
 
-def digests(folder: Path) -> dict[str, str]:
+def digests(folder):
     files = sorted(path for path in folder.rglob("*") if path.is_file() and path.stem != "report")
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()

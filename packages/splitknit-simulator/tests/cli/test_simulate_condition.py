@@ -1,9 +1,6 @@
 """``splitknit simulate --condition``."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +10,7 @@ from splitknit.cli.main import main
 from splitknit.io.npz import read_npz
 
 
-def simulate(options: str, out: Path) -> int:
+def simulate(options, out):
     return main(["simulate", "--seed", "3", *options.split(), "--out", str(out)])
 
 

@@ -1,10 +1,6 @@
 """``splitknit simulate --print``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +14,7 @@ from splitknit_simulator.finger.master_print import ink_print, master_print
 from splitknit_simulator.finger.shape import shape_of_rolled_print
 
 
-def simulated(out: Path, *options: object) -> dict[str, Any]:
+def simulated(out, *options):
     """Truth of the finger of seed 3, photographed."""
     assert main(["simulate", "--seed", "3", *map(str, options), "--out", str(out)]) == 0
     return read_npz(out / "truth.npz")
@@ -71,7 +67,7 @@ def test_the_outline_of_a_rolled_print_gives_the_finger_its_size(tmp_path):
     assert abs(width[0] - width[1]) > 0.3
 
 
-def draw_width(image: np.ndarray) -> float:
+def draw_width(image):
     """Of the finger of seed 3 that left a print of this outline."""
     ink = (image < 128).any(axis=0)
     return shape_of_rolled_print(

@@ -1,7 +1,5 @@
 """A finger that moved between its two polarised series."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -9,7 +7,6 @@ import numpy as np
 import pytest
 
 import splitknit_simulator
-from splitknit.capture import Capture
 from splitknit.finger.steady import find_steady_finger
 from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
@@ -20,7 +17,7 @@ MOVED_MM = (0.15, -0.1)
 """Right and up."""
 
 
-def moved(capture: Capture, right_mm: float, up_mm: float) -> Capture:
+def moved(capture, right_mm, up_mm):
     """With the crossed images shifted."""
     px = capture.rig.camera.px_per_mm
     turn = np.array([[1.0, 0.0, right_mm * px], [0.0, 1.0, -up_mm * px]])
@@ -35,7 +32,7 @@ def moved(capture: Capture, right_mm: float, up_mm: float) -> Capture:
 
 
 @pytest.fixture(scope="module")
-def polarised() -> Capture:
+def polarised():
     """A finger without specular reflection, as crossed films show it, and with it."""
     glossy, matt = (
         splitknit_simulator.simulate_capture(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.nominal import default_rig, lobe_exponent, nominal_rig
 from splitknit_simulator.rigs import built_rig
 
@@ -93,5 +93,5 @@ def test_distortion_and_fall_off_of_lenses_stay_in_their_ranges():
     ],
 )
 def test_impossible_rigs_are_refused(call, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         call()

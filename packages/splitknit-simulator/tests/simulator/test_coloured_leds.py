@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import COLOURS
 from splitknit.nominal import CROSSTALK, default_rig, shared_exposures
 from splitknit.observation.observe import observe
@@ -36,7 +36,7 @@ def test_the_rig_is_the_thesis_s_but_for_its_white_leds():
 
 
 def test_four_exposures_of_coloured_leds_are_refused():
-    with pytest.raises(BadInput, match="one to three exposures"):
+    with bad_input("one to three exposures"):
         coloured_rig(0.2, exposures=4)
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import Camera
 from splitknit.nominal import default_rig
 from splitknit.observation.observe import observe
@@ -150,7 +150,7 @@ def test_a_coloured_background_lights_the_flanks(photo):
 
 def test_mirrors_before_a_coloured_background_are_refused():
     green = BackgroundSettings(colour=(0.0, 0.4, 0.1, 0.7))
-    with pytest.raises(BadInput, match="on black, without films"):
+    with bad_input("on black, without films"):
         TwinSettings(background=green, mirrors=MirrorSettings(names=("left",)))
 
 
@@ -206,10 +206,10 @@ def test_poses_are_drawn_inside_their_ranges_and_the_picture():
 
 
 def test_a_reversed_pose_range_is_refused():
-    with pytest.raises(BadInput, match="yaw_deg"):
+    with bad_input("yaw_deg"):
         PoseRanges(yaw_deg=(5.0, -5.0))
 
 
 def test_a_rig_of_another_camera_than_the_surface_is_refused(egg):
-    with pytest.raises(BadInput, match="camera has"):
+    with bad_input("camera has"):
         photograph(egg, default_rig(0.5), SkinOptics(), np.random.SeedSequence(0))

@@ -1,7 +1,5 @@
 """Lights to the side of the finger: in the twin, and what presets make of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
@@ -11,7 +9,6 @@ import pytest
 
 import splitknit
 import splitknit_simulator
-from splitknit.capture import Band, Capture
 from splitknit.finger import steady
 from splitknit.finger.locate import Finger
 from splitknit.imaging.light_field import lights_in_front
@@ -27,12 +24,12 @@ SIDE = 5
 
 
 @pytest.fixture(scope="module")
-def lit() -> Capture:
+def lit():
     settings = {"scale": 0.12, "side_lights": SIDE}
     return splitknit_simulator.simulate_capture(3, settings=settings)[0]
 
 
-def _chosen(band: Band, count: int) -> Band:
+def _chosen(band, count):
     names = "pixels", "leds", "exposure", "black_level", "files"
     return replace(band, **{name: getattr(band, name)[:count] for name in names})
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -19,7 +18,6 @@ from splitknit.skin.learned import Networks
 from splitknit_simulator.twin import simulate_capture
 
 SETTINGS = preset_settings("metric")
-Place = Callable[[float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +28,7 @@ class Piece:
     grid: Grid
     networks: Networks | None
 
-    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+    def surface(self):
         """Shape, less its mean, and relief."""
         surface = metric_skin(
             self.bands, self.grid, SETTINGS.skin, SETTINGS.metric, networks=self.networks
@@ -38,9 +36,7 @@ class Piece:
         mean = surface.shape_mm[self.grid.mask].mean()
         return (surface.shape_mm - mean) * self.grid.mask, surface.relief_mm * self.grid.mask
 
-    def moved(
-        self, image: Callable[[np.ndarray], np.ndarray], place: Place, mask: np.ndarray
-    ) -> Piece:
+    def moved(self, image, place, mask):
         """The piece whose images and lights are moved; its middle stays where it is."""
         bands = []
         for band in self.bands:
@@ -66,7 +62,7 @@ class Piece:
 
 
 @pytest.fixture(scope="module")
-def piece() -> Piece:
+def piece():
     capture, _ = simulate_capture(1001, settings={"scale": 0.34})
     light = observe(capture)
     finger = find_finger(light, SETTINGS)
@@ -95,7 +91,7 @@ def piece() -> Piece:
 
 
 @pytest.fixture(scope="module")
-def straight(piece: Piece) -> tuple[np.ndarray, np.ndarray]:
+def straight(piece):
     return piece.surface()
 
 
@@ -130,7 +126,7 @@ def test_a_turned_finger_has_a_turned_surface(piece, straight, turn_deg):
     back = cv2.invertAffineTransform(matrix)
     c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
 
-    def turned(image: np.ndarray, by: np.ndarray = matrix) -> np.ndarray:
+    def turned(image, by=matrix):
         return cv2.warpAffine(
             np.ascontiguousarray(image, np.float32), by, (side, side), flags=cv2.INTER_CUBIC
         )
@@ -140,7 +136,7 @@ def test_a_turned_finger_has_a_turned_surface(piece, straight, turn_deg):
     same_surface(tuple(turned(part, back) for part in surface), straight, piece.grid)
 
 
-def same_surface(measured, wanted, grid: Grid) -> None:
+def same_surface(measured, wanted, grid):
     inner = grid.mask & (grid.depth_mm > 1.0)
     shape, relief = (
         (error - error[inner].mean())[inner]

@@ -1,7 +1,5 @@
 """Heights from the specular image: prediction, linear equations and what a whole finger gives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -10,10 +8,9 @@ import pytest
 
 import splitknit
 import splitknit_simulator
-from splitknit.capture import Capture
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.methods.metric import NO_SPECULAR, without_white
-from splitknit.model import Camera, FloatArray, Led, Rig
+from splitknit.model import Camera, Led, Rig
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import MicrofacetGlare
 from splitknit.skin.polarised import SpecularImages, polarised_heights, specular_images
@@ -22,7 +19,7 @@ PITCH_MM = 0.026
 NOISE = 0.003
 
 
-def _rig(size: tuple[int, int]) -> Rig:
+def _rig(size):
     angle = 2 * np.pi * np.arange(7) / 7
     leds = tuple(
         Led(band="white", position_mm=(52.5 * np.cos(a), 52.5 * np.sin(a), 140.0)) for a in angle
@@ -30,7 +27,7 @@ def _rig(size: tuple[int, int]) -> Rig:
     return Rig(Camera(1 / PITCH_MM, size, 140.0), leds)
 
 
-def _grid(size: tuple[int, int]) -> Grid:
+def _grid(size):
     rows, columns = size
     mask = np.zeros(size, dtype=np.bool_)
     mask[4:-4, 4:-4] = True
@@ -41,7 +38,7 @@ def _grid(size: tuple[int, int]) -> Grid:
     return Grid(mask, x, y, PITCH_MM, (False,) * 4)
 
 
-def _ridged(grid: Grid) -> tuple[FloatArray, FloatArray]:
+def _ridged(grid):
     """A dome, and ridges across it."""
     x, y = np.meshgrid(grid.x_mm, grid.y_mm)
     dome = 0.6 - (x * x + y * y) / 20
@@ -50,14 +47,12 @@ def _ridged(grid: Grid) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def _relief(height_mm: FloatArray, grid: Grid) -> FloatArray:
+def _relief(height_mm, grid):
     """Heights above their smooth mean, inside the outline."""
     return (height_mm - grid.smooth(height_mm, grid.mask, 0.32))[grid.depth_mm > 0.3]
 
 
-def _photographed(
-    height_mm: FloatArray, grid: Grid, rig: Rig, roughness: float, rho: float
-) -> FloatArray:
+def _photographed(height_mm, grid, rig, roughness, rho):
     """What the older model of glare makes of it, by other code than the method's: no blur, Lambert
     beside it."""
     normals = normals_from_gradients(*height_gradients(height_mm, grid.pitch_mm))
@@ -94,7 +89,7 @@ def test_ridges_have_their_true_height_for_any_start(roughness, gain):
     assert (error_mm > 0).all()
 
 
-def _with_side(rig: Rig) -> Rig:
+def _with_side(rig):
     angle = np.deg2rad(np.linspace(-25, 205, 5))
     leds = tuple(
         Led(band="white", position_mm=(90 * np.cos(a), 90 * np.sin(a), 30.0), intensity=0.46)
@@ -150,7 +145,7 @@ def test_coloured_skin_is_removed_from_white_specular_light():
 
 
 @pytest.fixture(scope="module")
-def simulated() -> tuple[Capture, dict[str, FloatArray]]:
+def simulated():
     return splitknit_simulator.simulate_capture(
         3, settings={"scale": 0.25, "films.kind": "analyser"}
     )

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.io.enrolment import (
     FINGERS,
     EnrolmentPlan,
@@ -64,7 +64,7 @@ def test_a_plan_may_grow_but_not_shrink(tmp_path):
         subjects=3, sessions=2, fingers=FINGERS
     )
     for less in ({"subjects": 2}, {"sessions": 1}, {"fingers": FINGERS[:3]}):
-        with pytest.raises(BadInput, match=r"3 subjects, 2 sessions and 10 fingers.*not shrink"):
+        with bad_input(r"3 subjects, 2 sessions and 10 fingers.*not shrink"):
             open_enrolment(folder, **less)
     assert open_enrolment(folder).plan.subjects == 3
 
@@ -72,10 +72,10 @@ def test_a_plan_may_grow_but_not_shrink(tmp_path):
 def test_folders_that_are_no_enrolment_are_refused(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.doc").write_text("x")
-    with pytest.raises(BadInput, match=r"holds other files and no enrolment\.json"):
+    with bad_input(r"holds other files and no enrolment\.json"):
         open_enrolment(tmp_path / "other")
     (tmp_path / "file").write_text("x")
-    with pytest.raises(BadInput, match="is a file"):
+    with bad_input("is a file"):
         open_enrolment(tmp_path / "file")
 
 
@@ -85,7 +85,7 @@ def test_folders_that_are_no_enrolment_are_refused(tmp_path):
 def test_a_damaged_plan_is_refused(tmp_path, text):
     open_enrolment(tmp_path / "e", subjects=2)
     (tmp_path / "e" / "enrolment.json").write_text(text)
-    with pytest.raises(BadInput, match=r"enrolment\.json' cannot be read.*no capture is lost"):
+    with bad_input(r"enrolment\.json' cannot be read.*no capture is lost"):
         open_enrolment(tmp_path / "e")
 
 
@@ -96,7 +96,7 @@ def test_a_plan_of_wrong_values_is_refused(tmp_path, change):
     open_enrolment(tmp_path / "e", subjects=2)
     file = tmp_path / "e" / "enrolment.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | change))
-    with pytest.raises(BadInput, match="cannot be read"):
+    with bad_input("cannot be read"):
         open_enrolment(tmp_path / "e")
 
 
@@ -112,7 +112,7 @@ def test_a_plan_of_wrong_values_is_refused(tmp_path, change):
     ],
 )
 def test_impossible_plans_are_refused_and_nothing_is_written(tmp_path, wrong):
-    with pytest.raises(BadInput):
+    with bad_input():
         open_enrolment(tmp_path / "e", **wrong)
     assert not (tmp_path / "e").exists()
 
@@ -120,9 +120,9 @@ def test_impossible_plans_are_refused_and_nothing_is_written(tmp_path, wrong):
 @pytest.mark.parametrize("name", ["S18", "s01", "Anna"])
 def test_unknown_subjects_sessions_and_fingers_are_refused(tmp_path, name):
     enrolment = open_enrolment(tmp_path / "e")
-    with pytest.raises(BadInput, match="S01, S02"):
+    with bad_input("S01, S02"):
         enrolment.waiting(subject=name)
-    with pytest.raises(BadInput, match="1, 2, 3, 4"):
+    with bad_input("1, 2, 3, 4"):
         enrolment.waiting(session=5)
-    with pytest.raises(BadInput, match="right_thumb"):
+    with bad_input("right_thumb"):
         enrolment.waiting(finger="thumb")

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from refusals import bad_input
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
 
@@ -31,7 +32,7 @@ def test_values_of_assignments_are_json_toml_or_plain_text(text, name, value):
 
 @pytest.mark.parametrize("text", ["a.b", "=3", "a..b=3", "a b=3", "1.a=3", ".=1"])
 def test_malformed_assignments_are_refused(text):
-    with pytest.raises(BadInput, match=r"stage\.field=value"):
+    with bad_input(r"stage\.field=value"):
         parse_assignment(text)
 
 
@@ -82,10 +83,10 @@ def test_json_and_toml_give_the_same_settings(tmp_path):
 )
 def test_broken_settings_files_are_refused(tmp_path, name, data, words):
     (tmp_path / name).write_bytes(data)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         read_changes([("--settings", str(tmp_path / name))])
 
 
 def test_missing_file_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="does not exist"):
+    with bad_input("does not exist"):
         read_changes([("--settings", str(tmp_path / "none.json"))])

@@ -1,23 +1,20 @@
 """``splitknit profile``: a cut through a surface, its table, its roughness."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from handmade import finger
+from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.imaging.roughness import profile_roughness
 
 
 @pytest.fixture(scope="module")
-def waves(tmp_path_factory) -> Path:
+def waves(tmp_path_factory):
     """A result of an opaque thing: waves 0.25 mm long and 20 um high on a slope, along x."""
     result, _ = finger(px_per_mm=40.0, size=(60, 520), yaw_deg=0.0)
     x = (np.arange(520) - 259.5) / 40.0
@@ -85,5 +82,5 @@ def test_the_cut_off_passes_half_a_wave_of_its_length_and_removes_form():
     for length, part in ((0.8, 0.5), (8.0, 0.007)):
         _, figures = profile_roughness(0.01 * np.sin(2 * np.pi * along / length), 0.005, 0.8)
         assert figures["Rq_um"] == pytest.approx(part * 10 / np.sqrt(2), rel=0.1)
-    with pytest.raises(BadInput, match="gap"):
+    with bad_input("gap"):
         profile_roughness(np.full(4000, np.nan), 0.005, 0.8)

@@ -1,10 +1,6 @@
 """``splitknit separate``: a folder in, a folder out, one sentence where it cannot."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,22 +16,22 @@ GLOBAL = 0.4 + 0.1 * np.cos(COLUMNS / 17)
 STEP = 1 / 65535
 
 
-def stored(light: Any, full: int = 65535) -> Any:
+def stored(light, full=65535):
     return np.round(np.clip(light, 0, 1) * full).astype(np.uint16 if full > 255 else np.uint8)
 
 
-def write(folder: Path, images: dict[str, Any]) -> Path:
+def write(folder, images):
     folder.mkdir(exist_ok=True)
     for name, light in images.items():
         write_image(folder / name, stored(light))
     return folder
 
 
-def run(*words: Any) -> int:
+def run(*words):
     return main(["separate", *map(str, words)])
 
 
-def refusal(capsys: pytest.CaptureFixture[str], out: Path, *words: Any) -> str:
+def refusal(capsys, out, *words):
     """Return the one sentence with which a run is refused; nothing is left behind."""
     before = sorted(out.parent.iterdir())
     assert run(*words, "--out", out) == 2
@@ -92,7 +88,7 @@ def test_one_photograph_is_taken_from_its_file_or_folder(tmp_path, capsys):
     assert "cannot be read" in refusal(capsys, tmp_path / "x", tmp_path / "none")
 
 
-def polarised(root: Path, count: int = 3) -> tuple[Path, Path]:
+def polarised(root, count=3):
     """Photographs through parallel and crossed films: half of the diffuse light each, the specular
     light in one."""
     specular = [0.05 + 0.04 * np.sin(COLUMNS / 2 + k) for k in range(count)]

@@ -1,10 +1,6 @@
 """The thesis's author's own finger, from the film on his public page: our steps beside his on the
 same pixels."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -16,7 +12,6 @@ from splitknit.finger.orientation import find_upright
 from splitknit.finger.phalange import find_crease, phalange_mask
 from splitknit.finger.ridges import relief_print
 from splitknit.imaging.pixels import GREY_WEIGHTS
-from splitknit.model import BoolArray, FloatArray
 from splitknit.separation.direct import direct_light
 
 pytestmark = pytest.mark.external
@@ -25,7 +20,7 @@ WHITE_FRAME_PX = 235.0  # width of the finger in the white frame
 
 
 @pytest.fixture(scope="module")
-def film(data_dir: Path) -> dict[str, FloatArray]:
+def film(data_dir):
     """Grey picture, his contrast enhancement and his network's output of it, in the film's code
     from 0 to 1."""
     folder = data_dir / "author_film"
@@ -39,36 +34,36 @@ def film(data_dir: Path) -> dict[str, FloatArray]:
 
 
 @pytest.fixture(scope="module")
-def inside(film: dict[str, FloatArray]) -> BoolArray:
+def inside(film):
     finger = ndimage.binary_opening(film["clahe"] > 0.08, iterations=3)
     return np.asarray(ndimage.binary_erosion(finger, iterations=25))
 
 
-def ridges(image: FloatArray, inside: BoolArray) -> FloatArray:
+def ridges(image, inside):
     """Values in the band of the ridges, whose period is about 12 px here."""
     band = ndimage.gaussian_filter(image, 1.0) - ndimage.gaussian_filter(image, 8.0)
     return np.asarray(band[inside])
 
 
-def agreement(ours: FloatArray, his: FloatArray, inside: BoolArray) -> tuple[float, float]:
+def agreement(ours, his, inside):
     """Correlation of the ridges, and their gain over his."""
     a, b = ridges(ours, inside), ridges(his, inside)
     return float(np.corrcoef(a, b)[0, 1]), float(a @ b / (b @ b))
 
 
-def linear(code: FloatArray) -> FloatArray:
+def linear(code):
     light = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
     return light.astype(np.float32)
 
 
-def equalised(film: dict[str, FloatArray], settings: ClaheSettings) -> FloatArray:
+def equalised(film, settings):
     finger = film["clahe"] > 0.08
     columns = np.flatnonzero(finger.any(axis=0))
     px_per_mm = float(np.ptp(columns)) / FINGER_MM
     return clahe(linear(film["grey_crop"]), px_per_mm, settings, mask=finger)
 
 
-def contrast(image: FloatArray, inside: BoolArray) -> float:
+def contrast(image, inside):
     """Of the ridges, beside the mean brightness."""
     return float(np.std(ridges(image, inside)) / image[inside].mean())
 
@@ -102,7 +97,7 @@ def test_the_direct_network_agrees_with_the_author_s_network(film, inside):
 
 
 @pytest.fixture(scope="module")
-def photographs(data_dir: Path) -> dict[str, FloatArray]:
+def photographs(data_dir):
     """Linear frames (H, W, 3) of the finger under one white and one near-infrared LED."""
     folder = data_dir / "author_film"
     if not folder.is_dir():

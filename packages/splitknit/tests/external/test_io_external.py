@@ -1,7 +1,5 @@
 """Data that nobody on this project made, read as captures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,9 +1,6 @@
 """The renders of a finger between three mirrors, made in Blender by the thesis's author."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,7 +8,7 @@ import pytest
 
 from splitknit.capture import Band, Capture
 from splitknit.io.images import read_image
-from splitknit.mirrors.captured import SeenInMirrors, seen_in_mirrors
+from splitknit.mirrors.captured import seen_in_mirrors
 from splitknit.model import Camera, Led, Mirror, Rig
 from splitknit.observation.observe import observe
 
@@ -32,14 +29,14 @@ CORNERS_PX = {
 points right."""
 
 
-def rig_of(lights: np.ndarray) -> Rig:
+def rig_of(lights):
     """The rig, read off the picture."""
     distance = FOCAL_PX / PX_PER_MM
     matrix = np.array([[FOCAL_PX, 0.0, 1499.5], [0.0, FOCAL_PX, 999.5], [0.0, 0.0, 1.0]])
     camera = Camera(PX_PER_MM, (2000, 3000), distance, "perspective", matrix)
     high = distance - (distance - LOW_MM) / CLOSER
 
-    def placed(column: float, row: float, z: float) -> tuple[float, float, float]:
+    def placed(column, row, z):
         near = (distance - z) / FOCAL_PX
         return (column - 1499.5) * near, (999.5 - row) * near, z
 
@@ -58,7 +55,7 @@ def rig_of(lights: np.ndarray) -> Rig:
 
 
 @pytest.fixture(scope="module")
-def capture(data_dir: Path) -> Capture:
+def capture(data_dir):
     folder = data_dir / "blender_finger" / "with_mirrors"
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")
@@ -71,11 +68,11 @@ def capture(data_dir: Path) -> Capture:
 
 
 @pytest.fixture(scope="module")
-def seen(capture: Capture) -> SeenInMirrors:
+def seen(capture):
     return seen_in_mirrors(observe(capture))
 
 
-def reprojected(seen: SeenInMirrors, name: str, points: np.ndarray) -> np.ndarray:
+def reprojected(seen, name, points):
     """Column and row at which the camera sees points (n, 3), in a mirror where the fit has it or
     (``front``) itself."""
     if name != "front":

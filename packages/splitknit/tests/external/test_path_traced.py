@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,7 +30,7 @@ class Traced:
 
 
 @pytest.fixture(scope="module", params=FINGERS)
-def traced(request, data_dir: Path) -> Traced:
+def traced(request, data_dir):
     folder = data_dir / "path_traced" / request.param
     with np.load(folder.with_name(f"{request.param}_truth.npz")) as file:
         truth = {name: file[name] for name in file.files}
@@ -43,7 +42,7 @@ def traced(request, data_dir: Path) -> Traced:
     return Traced(request.param, capture, truth, score)
 
 
-def baseline_rms_mm(traced: Traced) -> float:
+def baseline_rms_mm(traced):
     """Root mean square error of the forty lines."""
     mask, rig = traced.truth["mask"], traced.capture.rig
     whole = (slice(0, mask.shape[0]), slice(0, mask.shape[1]))

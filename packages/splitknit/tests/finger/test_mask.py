@@ -1,13 +1,12 @@
 """Finger masks on drawn fingers of every tone and disturbance, and refusal where there is no
 finger."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.finger.mask import (
     check_borders,
     finger_mask,
@@ -55,7 +54,7 @@ def test_a_finger_of_any_tone_is_segmented(draw_finger, tone, disturbance, least
     assert mask.shape == scene.mask.shape
     assert mask.dtype == np.bool_
     assert overlap(mask, scene.mask) > least
-    np.testing.assert_array_equal(mask, fill_holes(largest_component(mask)))
+    assert_array_equal(mask, fill_holes(largest_component(mask)))
 
 
 @pytest.mark.parametrize(
@@ -73,9 +72,9 @@ def test_region_and_outline_give_the_mask_of_one_step(draw_finger, disturbance):
 
 def test_region_and_outline_refuse_what_one_step_refuses(draw_finger):
     scene = draw_finger("medium", px_per_mm=20.0)
-    with pytest.raises(BadInput, match="no finger was found"):
+    with bad_input("no finger was found"):
         finger_region(np.full_like(scene.rgb, 0.03), scene.px_per_mm)
-    with pytest.raises(BadInput, match="no finger was found"):
+    with bad_input("no finger was found"):
         finger_outline(scene.rgb, np.zeros((40, 30), bool), scene.px_per_mm)
 
 
@@ -102,7 +101,7 @@ def test_the_mask_does_not_depend_on_scale_and_brightness(draw_finger):
     mask = finger_mask(scene.rgb, 22.0)
     assert overlap(mask, scene.mask) > 0.99
     assert overlap(finger_mask(scene.rgb * np.float32(0.05), 22.0), mask) > 0.998
-    np.testing.assert_array_equal(mask, finger_mask(scene.rgb, 22.0))
+    assert_array_equal(mask, finger_mask(scene.rgb, 22.0))
 
 
 def test_a_stick_across_the_finger_is_cut_off(draw_finger):
@@ -126,7 +125,7 @@ def test_dust_on_the_outline_is_cut_off(draw_finger):
     assert (finger_mask(rgb, 20.0) ^ finger_mask(scene.rgb, 20.0)).sum() < 250  # of some 740
 
 
-def _empty(kind: str, rng: np.random.Generator) -> np.ndarray:
+def _empty(kind, rng):
     y, x = np.mgrid[0:500, 0:350] / 350
     noise = rng.standard_normal((500, 350, 3))
     images = {
@@ -149,14 +148,14 @@ def _empty(kind: str, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("grey", [False, True])
 def test_an_image_without_a_finger_is_refused(kind, grey):
     image = _empty(kind, np.random.default_rng(3))
-    with pytest.raises(BadInput, match=r"no finger was found|borders"):
+    with bad_input(r"no finger was found|borders"):
         finger_mask(image.mean(axis=2) if grey else image, 12.0)
 
 
 @pytest.mark.parametrize("segment", [finger_mask, finger_region])
 def test_a_finger_across_three_borders_is_refused(draw_finger, segment):
     scene = draw_finger("medium", half_width=16.0, tip_at=(0.0, 12.0))
-    with pytest.raises(BadInput, match=r"touches 3 borders .*move it back"):
+    with bad_input(r"touches 3 borders .*move it back"):
         segment(scene.rgb, scene.px_per_mm)
 
 
@@ -168,7 +167,7 @@ def test_a_mask_may_touch_two_borders_at_most():
     assert touched_borders(mask) == ("bottom", "right")
     check_borders(mask)
     mask[:, 30:50] = True
-    with pytest.raises(BadInput, match="top, bottom, right"):
+    with bad_input("top, bottom, right"):
         check_borders(mask)
     corner = np.zeros((100, 80), dtype=bool)
     corner[-2:, 10] = True
@@ -176,7 +175,7 @@ def test_a_mask_may_touch_two_borders_at_most():
 
 
 def test_small_images_are_refused():
-    with pytest.raises(BadInput, match="too small"):
+    with bad_input("too small"):
         finger_mask(np.zeros((5, 5, 3), np.float32), 12.0)
 
 
@@ -191,11 +190,11 @@ def test_region_operations_agree_with_those_on_the_whole_image(box, radius):
         cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         for part in (mask, ~mask)
     )
-    np.testing.assert_allclose(depth_inside(mask), inside, rtol=1e-6)
-    np.testing.assert_array_equal(erode(mask, radius), inside > radius)
-    np.testing.assert_array_equal(dilate(mask, radius), outside <= radius)
+    assert_allclose(depth_inside(mask), inside, rtol=1e-6)
+    assert_array_equal(erode(mask, radius), inside > radius)
+    assert_array_equal(dilate(mask, radius), outside <= radius)
     near = outside <= radius
-    np.testing.assert_allclose(distance_outside(mask, radius)[near], outside[near], rtol=1e-6)
+    assert_allclose(distance_outside(mask, radius)[near], outside[near], rtol=1e-6)
     assert (distance_outside(mask, radius)[~near] > radius).all()
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         (~mask).astype(np.uint8), connectivity=4
@@ -204,7 +203,7 @@ def test_region_operations_agree_with_those_on_the_whole_image(box, radius):
         int(v) for line in (labels[0], labels[-1], labels[:, 0], labels[:, -1]) for v in line
     }
     small = [k for k in range(1, count) if k not in at_border and stats[k, cv2.CC_STAT_AREA] <= 2]
-    np.testing.assert_array_equal(fill_holes(mask, 2.0), mask | np.isin(labels, small))
+    assert_array_equal(fill_holes(mask, 2.0), mask | np.isin(labels, small))
 
 
 def test_spurs_and_small_holes_are_removed():
@@ -238,5 +237,5 @@ def test_photometric_mask_drops_shadowed_and_saturated_pixels():
 
 def test_a_finger_that_is_saturated_everywhere_is_refused():
     finger = np.ones((20, 15), dtype=bool)
-    with pytest.raises(BadInput, match="reached by 3 lights"):
+    with bad_input("reached by 3 lights"):
         photometric_mask(np.ones((7, 20, 15), np.float32), finger, 10.0)

@@ -1,7 +1,5 @@
 """The examples in the docstrings of normals and integrators run and say the truth."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 

@@ -1,11 +1,9 @@
 """Frankot-Chellappa: true scale, both rectangles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 
 
@@ -42,13 +40,6 @@ def test_slopes_that_alternate_from_pixel_to_pixel_have_no_height(axis):
     assert np.abs(frankot_chellappa(*slopes)).max() < 1e-6
 
 
-def test_mean_is_zero_over_the_mask():
-    height, slope_x, slope_y = bump()
-    got = frankot_chellappa(slope_x, slope_y, height > 0.1)
-    assert abs(np.nanmean(got)) < 1e-6
-    assert np.nanmax(got) > 1
-
-
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1), (1, 1), (2, 3)])
 @pytest.mark.parametrize("padding", ["zero", "mirror"])
 def test_tiny_images_do_not_fail(shape, padding):
@@ -56,5 +47,5 @@ def test_tiny_images_do_not_fail(shape, padding):
 
 
 def test_unknown_padding_is_refused():
-    with pytest.raises(BadInput, match="padding"):
+    with bad_input("padding"):
         frankot_chellappa(np.zeros((4, 4)), np.zeros((4, 4)), padding="wrap")

@@ -1,20 +1,14 @@
 """Weighted integration reaches the least energy: random masks, rims and weights against a sparse
 direct solver."""
 
-from __future__ import annotations
-
 import logging
 
 import cv2
 import numpy as np
 import pytest
-import scipy.sparse
-import scipy.sparse.linalg
 
+from direct_integration import solved
 from splitknit.integration.poisson import poisson
-
-FLOOR = 1e-3
-"""Smaller weights are raised to this, and their slopes are not used."""
 
 
 def random_mask(rng, rows, columns):
@@ -75,45 +69,13 @@ def random_slopes(rng, mask):
     return slopes.astype(np.float32), weights.astype(np.float32)
 
 
-def edges_of(slopes, weights, mask):
-    """First and second pixel of every edge, its weight, and the difference of height that its
-    slopes predict."""
-    index, floored = np.full(mask.shape, -1), np.maximum(weights, np.float32(FLOOR)).astype(float)
-    index[mask] = np.arange(mask.sum())
-    used, parts = (weights > FLOOR).astype(float), []
-    for axis, slope in ((1, slopes[0]), (0, -slopes[1])):
-        first = [slice(None, -1) if k == axis else slice(None) for k in range(2)]
-        second = [slice(1, None) if k == axis else slice(None) for k in range(2)]
-        first, second = tuple(first), tuple(second)
-        both = mask[first] & mask[second]
-        weight = 0.5 * (floored[first] + floored[second])[both]
-        count = used[first] + used[second]
-        target = (used[first] * slope[first] + used[second] * slope[second]) / np.maximum(count, 1)
-        parts.append((index[first][both], index[second][both], weight, target[both]))
-    return [np.concatenate(column) for column in zip(*parts, strict=True)]
-
-
 def energy_above_the_least(seed, largest):
     """Energy of `poisson` and of a direct solution, and that of the slopes themselves."""
     rng = np.random.default_rng(seed)
     rows = np.exp(rng.uniform(np.log(10), np.log(largest)))
     mask = random_mask(rng, int(rows), int(np.clip(rows * np.exp(rng.uniform(-1, 1)), 10, largest)))
     slopes, weights = random_slopes(rng, mask)
-    first, second, weight, target = edges_of(slopes, weights, mask)
-    count, edge = int(mask.sum()), np.arange(len(first))
-    ends = np.tile(edge, 2), np.concatenate([first, second])
-    operator = scipy.sparse.csr_matrix(
-        (np.repeat([-1.0, 1.0], len(edge)), ends), shape=(len(edge), count)
-    )
-    normal = operator.T @ scipy.sparse.diags(weight) @ operator
-    ground = 1e-12 * max(float(normal.diagonal().mean()), 1e-9)
-    factors = scipy.sparse.linalg.splu(
-        (normal + ground * scipy.sparse.identity(count)).tocsc(),
-        "MMD_AT_PLUS_A",
-        options={"SymmetricMode": True},
-    )
-    best = factors.solve(operator.T @ (weight * target))
-    best += factors.solve(operator.T @ (weight * (target - operator @ best)))
+    best, operator, weight, target = solved(slopes, weights, mask)
     height = poisson(*slopes, mask, weights)[mask].astype(float)
     energies = (float(weight @ (target - operator @ solution) ** 2) for solution in (height, best))
     return *energies, float(weight @ target**2)

@@ -1,12 +1,10 @@
 """Shapelets: the transfer function against explicit correlations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.signal
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.integration.shapelets import ShapeletSettings, shapelet_response, shapelets
 
 
@@ -67,9 +65,8 @@ def test_response_of_the_thesis_at_the_ridges():
 
 
 @pytest.mark.parametrize(
-    "field",
-    [{"scales": 0}, {"sigma_px": 0}, {"factor": 1.0}, {"sigma_px": np.nan}],
+    "field", [{"scales": 0}, {"sigma_px": 0}, {"factor": 1.0}, {"sigma_px": np.nan}]
 )
 def test_bad_settings_are_refused(field):
-    with pytest.raises(BadInput, match="shapelets"):
+    with bad_input("shapelets"):
         ShapeletSettings(**field)

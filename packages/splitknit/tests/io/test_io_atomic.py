@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -8,26 +6,25 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+from refusals import bad_input
 from splitknit.cli import main as cli
 from splitknit.cli.exits import INTERRUPTS
-from splitknit.errors import BadInput
 from splitknit.files import given_folders, read_bytes
 from splitknit.interrupts import UNFINISHED
 from splitknit.io import atomic
 from splitknit.io.atomic import GROUP_READABLE, MANIFEST, atomic_file, atomic_folder, manifest_of
 
 
-def fill(out: Path, **files: str) -> None:
+def fill(out, **files):
     with atomic_folder(out) as folder:
         for name, text in files.items():
             (folder / name).write_text(text)
 
 
-def visible(folder: Path) -> dict[str, str]:
+def visible(folder):
     return {path.name: path.read_text() for path in folder.iterdir() if path.name != ".splitknit"}
 
 
@@ -45,7 +42,7 @@ def test_a_folder_appears_whole_and_parents_are_made(tmp_path):
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_after_a_failure_everything_is_as_before(tmp_path, error):
-    def fail(out: Path) -> None:
+    def fail(out):
         with pytest.raises(error), atomic_folder(out) as folder:
             (folder / "half").write_text("x")
             raise error
@@ -62,13 +59,13 @@ def test_a_failed_rename_restores_the_earlier_result(tmp_path, monkeypatch):
     fill(tmp_path / "result", first="1")
     rename = Path.rename
 
-    def broken(self: Path, target: Path) -> Path:
+    def broken(self, target):
         if self.name == "new" and target.name == "result":
             raise OSError(28, "No space left on device")
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", broken)
-    with pytest.raises(BadInput, match="No space left on device"):
+    with bad_input("No space left on device"):
         fill(tmp_path / "result", new="2")
     assert visible(tmp_path / "result") == {"first": "1"}
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
@@ -88,11 +85,11 @@ def test_files_of_others_are_never_deleted(tmp_path):
     mine = tmp_path / "photos"
     mine.mkdir()
     (mine / "holiday.png").write_text("dear")
-    with pytest.raises(BadInput, match=r"'holiday\.png', which splitknit did not write"):
+    with bad_input(r"'holiday\.png', which splitknit did not write"):
         fill(mine, first="1")
     fill(tmp_path / "result", first="1")
     (tmp_path / "result" / "link").symlink_to(mine)
-    with pytest.raises(BadInput, match="'link', which splitknit did not write"):
+    with bad_input("'link', which splitknit did not write"):
         fill(tmp_path / "result", first="2")
     for text in (
         "[]",
@@ -101,7 +98,7 @@ def test_files_of_others_are_never_deleted(tmp_path):
         '{"format": "splitknit-folder"}',
     ):
         (mine / ".splitknit").write_text(text)
-        with pytest.raises(BadInput, match="did not write"):
+        with bad_input("did not write"):
             fill(mine, first="1")
     assert (mine / "holiday.png").read_text() == "dear"
 
@@ -122,17 +119,14 @@ def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path, kind):
         (mark.parent / "first").write_text("theirs") if name else (mark.parent / "first").unlink()
         assert manifest_of(mark.parent) == frozenset()
         if name or kind != "too large":
-            with pytest.raises(BadInput, match="which splitknit did not write"):
+            with bad_input("which splitknit did not write"):
                 fill(mark.parent, first="2")
             assert os.path.lexists(mark)
 
 
 def test_a_file_added_by_others_meanwhile_is_kept(tmp_path):
     fill(tmp_path / "result", first="1")
-    with (
-        pytest.raises(BadInput, match="did not write"),
-        atomic_folder(tmp_path / "result") as folder,
-    ):
+    with bad_input("did not write"), atomic_folder(tmp_path / "result") as folder:
         (folder / "first").write_text("2")
         (tmp_path / "result" / "notes").write_text("mine")
     assert visible(tmp_path / "result") == {"first": "1", "notes": "mine"}
@@ -140,20 +134,17 @@ def test_a_file_added_by_others_meanwhile_is_kept(tmp_path):
 
 def test_places_that_cannot_be_written_are_refused(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(BadInput, match="is a file"):
+    with bad_input("is a file"):
         fill(tmp_path / "file", first="1")
-    with pytest.raises(BadInput, match="cannot write"):
+    with bad_input("cannot write"):
         fill(tmp_path / "file" / "result", first="1")
-    with pytest.raises(BadInput, match="cannot write"):
+    with bad_input("cannot write"):
         fill(tmp_path / ("x" * 300), first="1")
-    with pytest.raises(BadInput, match="not a usable path"):
+    with bad_input("not a usable path"):
         fill(Path("a\0b"), first="1")
-    with (
-        pytest.raises(BadInput, match="exists and is not empty"),
-        atomic_folder(tmp_path, overwrite=False),
-    ):
+    with bad_input("exists and is not empty"), atomic_folder(tmp_path, overwrite=False):
         pass
-    with pytest.raises(BadInput, match="mounted disk"), atomic_folder("/"):
+    with bad_input("mounted disk"), atomic_folder("/"):
         pass
     assert visible(tmp_path) == {"file": "x"}
 
@@ -185,7 +176,7 @@ def test_a_nested_atomic_folder_appears_with_the_outer_one(tmp_path):
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_without_permission_is_refused(tmp_path):
     (tmp_path / "locked").mkdir(mode=0o500)
-    with pytest.raises(BadInput, match="Permission denied"):
+    with bad_input("Permission denied"):
         fill(tmp_path / "locked" / "result", first="1")
 
 
@@ -201,7 +192,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     with pytest.raises(KeyboardInterrupt), atomic_file(tmp_path / "b" / "file.bin") as stream:
         raise KeyboardInterrupt
     assert not (tmp_path / "b").exists()
-    with pytest.raises(BadInput, match="is a folder"), atomic_file(tmp_path):
+    with bad_input("is a folder"), atomic_file(tmp_path):
         pass
     assert [entry.name for entry in path.parent.iterdir()] == ["file.bin"]
 
@@ -211,10 +202,7 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("pipe")
     for name in ("pipe", "link"):
-        with (
-            pytest.raises(BadInput, match="is a device or a pipe"),
-            atomic_file(tmp_path / name) as stream,
-        ):
+        with bad_input("is a device or a pipe"), atomic_file(tmp_path / name) as stream:
             stream.write(b"never")
     assert (tmp_path / "pipe").is_fifo()
     assert {path.name for path in tmp_path.iterdir()} == {"pipe", "link"}
@@ -248,10 +236,10 @@ def test_what_is_written_is_private(tmp_path, monkeypatch, group, for_file, for_
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_while_tidying_waits_until_that_is_done(tmp_path, monkeypatch, number, place):
     fill(tmp_path / "result", first="1")
-    where: Any = Path if place in ("mkdir", "rename") else atomic
+    where = Path if place in ("mkdir", "rename") else atomic
     work, come = getattr(where, place), []
 
-    def interrupted(*arguments: Any, **named: Any) -> Any:
+    def interrupted(*arguments, **named):
         done = work(*arguments, **named) if place in ("mkdir", "_lock", "rename") else None
         if not come:
             come.append(number)
@@ -294,7 +282,7 @@ with atomic_folder(out) as folder:
 """
 
 
-def unmarked(parent: Path) -> list[Path]:
+def unmarked(parent):
     """Hidden files and folders of a user, some of them called as ours are, and backups of results
     of ours."""
     names = (
@@ -367,12 +355,9 @@ def test_nothing_is_written_through_a_link_inside_a_given_folder(tmp_path):
         with given_folders([named]):
             for name in ("file", "folder/file", "folder/new/file"):
                 for write in (atomic_file, atomic_folder):
-                    with (
-                        pytest.raises(BadInput, match="is a link inside a folder"),
-                        write(named / name),
-                    ):
+                    with bad_input("is a link inside a folder"), write(named / name):
                         pass
-                with pytest.raises(BadInput, match="is a link inside a folder"):
+                with bad_input("is a link inside a folder"):
                     read_bytes(named / name, 100)
             with atomic_file(named / "below" / "own") as stream:
                 stream.write(b"own")
@@ -419,7 +404,7 @@ def test_a_temporary_folder_that_another_program_removes_is_made_again(tmp_path,
     """Between its making and its locking it looks as if its program had been killed."""
     hold, opened = atomic._open_folder, []
 
-    def swept(folder: Path) -> int | None:
+    def swept(folder):
         opened.append(folder)
         if len(opened) == 1:
             folder.rmdir()

@@ -1,17 +1,14 @@
-from __future__ import annotations
-
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
+from refusals import bad_input
 from small_capture import edit
-from splitknit.capture import Ambient, Capture
-from splitknit.errors import BadInput
+from splitknit.capture import Ambient
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.npz import read_npz
@@ -20,18 +17,18 @@ from splitknit.model import Camera, Led, Rig
 from splitknit.observation.observe import observe
 
 
-def assert_same(a: Capture, b: Capture) -> None:
+def assert_same(a, b):
     assert list(a.bands) == list(b.bands)
     for key, first in a.bands.items():
         second = b.bands[key]
         assert first.pixels.dtype == second.pixels.dtype
-        np.testing.assert_array_equal(first.pixels, second.pixels)
+        assert_array_equal(first.pixels, second.pixels)
         assert first.leds == second.leds
-        np.testing.assert_array_equal(first.exposure, second.exposure)
-        np.testing.assert_array_equal(first.black_level, second.black_level)
+        assert_array_equal(first.exposure, second.exposure)
+        assert_array_equal(first.black_level, second.black_level)
         assert (first.ambient is None) == (second.ambient is None)
         if first.ambient is not None:
-            np.testing.assert_array_equal(first.ambient.pixels, second.ambient.pixels)
+            assert_array_equal(first.ambient.pixels, second.ambient.pixels)
             assert first.ambient.exposure == second.ambient.exposure
             assert first.ambient.black_level == second.ambient.black_level
     assert a.rig.leds == b.rig.leds
@@ -42,7 +39,7 @@ def assert_same(a: Capture, b: Capture) -> None:
         assert getattr(a, name) == getattr(b, name)
     assert (a.mask is None) == (b.mask is None)
     if a.mask is not None:
-        np.testing.assert_array_equal(a.mask, b.mask)
+        assert_array_equal(a.mask, b.mask)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -76,7 +73,7 @@ def test_a_written_capture_is_read_back(dtype, channels, images, tmp_path, build
     assert_same(capture, again)
     assert {file.suffix[1:] for file in (tmp_path / "c").glob("*_[0-9]*")} == {images}
     assert again.truth == tmp_path / "c" / "truth.npz"
-    np.testing.assert_array_equal(read_npz(again.truth)["height_mm"], truth["height_mm"])
+    assert_array_equal(read_npz(again.truth)["height_mm"], truth["height_mm"])
     assert again.hashes == {
         name.name: hashlib.sha256(name.read_bytes()).hexdigest()
         for name in (tmp_path / "c").iterdir()
@@ -91,7 +88,7 @@ def test_a_written_capture_is_read_back(dtype, channels, images, tmp_path, build
 
 
 def test_a_minimal_document_is_read_and_unknown_fields_are_ignored(folder):
-    def least(document: Any) -> None:
+    def least(document):
         white = document["bands"]["white"]
         white["comment"] = ["not", {"known": None}]
         document.clear()
@@ -115,7 +112,7 @@ def test_a_minimal_document_is_read_and_unknown_fields_are_ignored(folder):
 
 
 def test_exposure_gain_and_black_level_bring_images_to_one_scale(folder):
-    def expose(document: Any) -> None:
+    def expose(document):
         images = document["bands"]["white"]["images"]
         images[0] = {"file": images[0], "exposure_s": 0.5, "gain": 4.0, "black_level": 3}
         images[1] = {"file": images[1], "gain": 2}
@@ -128,9 +125,9 @@ def test_exposure_gain_and_black_level_bring_images_to_one_scale(folder):
     assert band.exposure.tolist() == [2.0, 2.0, 1.0, 1.0]
     assert band.black_level.tolist() == [3.0, 0.0, 0.0, 0.0]
     after = observe(capture).white.grey
-    np.testing.assert_allclose(after[0], (before[0] - 3 / 255) / 2, atol=1e-6)
-    np.testing.assert_allclose(after[1], before[1] / 2, atol=1e-6)
-    np.testing.assert_allclose(after[2:], before[2:])
+    assert_allclose(after[0], (before[0] - 3 / 255) / 2, atol=1e-6)
+    assert_allclose(after[1], before[1] / 2, atol=1e-6)
+    assert_allclose(after[2:], before[2:])
 
 
 @pytest.mark.parametrize(
@@ -146,7 +143,7 @@ def test_exposure_gain_and_black_level_bring_images_to_one_scale(folder):
 def test_the_ambient_image_has_its_own_or_the_common_exposure(exposures, ambient, expected, folder):
     write_image(folder / "dark.png", np.ones((40, 30, 3), np.uint8))
 
-    def expose(document: Any) -> None:
+    def expose(document):
         white = document["bands"]["white"]
         white["images"] = [
             name if s is None else {"file": name, "exposure_s": s}
@@ -158,7 +155,7 @@ def test_the_ambient_image_has_its_own_or_the_common_exposure(exposures, ambient
 
     edit(folder / "capture.json", expose)
     if isinstance(expected, str):
-        with pytest.raises(BadInput, match=expected):
+        with bad_input(expected):
             read_capture(folder)
     else:
         assert read_capture(folder).bands["white"].ambient.exposure == expected
@@ -177,7 +174,7 @@ def test_a_mask_of_any_image_type_is_read(folder):
         write_image(folder / "m.png", values)
         read = read_capture(folder).mask
         assert read is not None
-        np.testing.assert_array_equal(read, mask > 0)
+        assert_array_equal(read, mask > 0)
 
 
 @pytest.mark.parametrize(
@@ -190,30 +187,27 @@ def test_a_mask_of_any_image_type_is_read(folder):
 def test_a_dark_mask_or_one_of_another_size_is_refused(mask, words, folder):
     edit(folder / "capture.json", document_with(mask="m.png"))
     write_image(folder / "m.png", mask)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         read_capture(folder)
 
 
-Change = Callable[[Any], Any]
-
-
-def document_with(**values: Any) -> Change:
+def document_with(**values):
     return lambda document: document.update(values)
 
 
-def white(**values: Any) -> Change:
+def white(**values):
     return lambda document: document["bands"]["white"].update(values)
 
 
-def image(place: int, value: Any) -> Change:
+def image(place, value):
     return lambda document: document["bands"]["white"]["images"].__setitem__(place, value)
 
 
-def camera_with(**values: Any) -> Change:
+def camera_with(**values):
     return lambda document: document["camera"].update(values)
 
 
-def led_with(**values: Any) -> Change:
+def led_with(**values):
     return lambda document: document["leds"][0].update(values)
 
 
@@ -251,9 +245,8 @@ def led_with(**values: Any) -> Change:
 )
 def test_wrong_capture_documents_are_refused(change, words, folder):
     edit(folder / "capture.json", change)
-    with pytest.raises(BadInput, match=words) as caught:
+    with bad_input(words):
         read_capture(folder)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -272,7 +265,7 @@ def test_wrong_capture_documents_are_refused(change, words, folder):
 @pytest.mark.parametrize("file", ["capture.json", "rig.json"])
 def test_broken_json_is_refused(text, words, file, folder):
     (folder / file).write_bytes(text)
-    with pytest.raises(BadInput, match=words) as caught:
+    with bad_input(words) as caught:
         read_capture(folder)
     assert str(folder / file) in str(caught.value)
 
@@ -297,7 +290,7 @@ def test_paths_stay_inside_the_folder(name, field, folder):
     (folder / "link.png").symlink_to(folder.parent / "secret.png")
     (folder / "linked").symlink_to(folder.parent)
 
-    def change(document: Any) -> None:
+    def change(document):
         if field == "image":
             document["bands"]["white"]["images"][0] = {"file": name}
         elif field == "ambient":
@@ -306,28 +299,28 @@ def test_paths_stay_inside_the_folder(name, field, folder):
             document[field] = name
 
     edit(folder / "capture.json", change)
-    with pytest.raises(BadInput, match="leaves the capture folder"):
+    with bad_input("leaves the capture folder"):
         read_capture(folder)
 
 
 @pytest.mark.parametrize("name", ["a\0b.png", "\ud800.png", "x" * 5000, " ", ""])
 def test_unusable_file_names_are_refused(name, folder):
     edit(folder / "capture.json", document_with(mask=name))
-    with pytest.raises(BadInput):
+    with bad_input():
         read_capture(folder)
 
 
 def test_missing_folders_and_files_are_refused(tmp_path, folder):
-    with pytest.raises(BadInput, match="does not exist"):
+    with bad_input("does not exist"):
         read_capture(tmp_path / "nowhere")
-    with pytest.raises(BadInput, match=r"holds no capture\.json"):
+    with bad_input(r"holds no capture\.json"):
         read_capture(tmp_path)
-    with pytest.raises(BadInput, match="is not a capture"):
+    with bad_input("is not a capture"):
         read_capture(folder / "white_0.png")
-    with pytest.raises(BadInput):
+    with bad_input():
         read_capture("\0")
     (folder / "nir_2.png").unlink()
-    with pytest.raises(BadInput, match=r"nir_2\.png does not exist"):
+    with bad_input(r"nir_2\.png does not exist"):
         read_capture(folder)
 
 
@@ -335,22 +328,20 @@ def test_images_that_do_not_match_the_others_are_refused(folder):
     good = read_image(folder / "white_2.png")
     data = (folder / "white_2.png").read_bytes()
     (folder / "white_2.png").write_bytes(data[: len(data) // 2])
-    with pytest.raises(BadInput, match=r"white_2\.png is truncated"):
+    with bad_input(r"white_2\.png is truncated"):
         read_capture(folder)
     write_image(folder / "white_2.png", good[:-1])
-    with pytest.raises(BadInput, match=r"white_2\.png has 39 x 30 pixels.* 40 x 30 are expected"):
+    with bad_input(r"white_2\.png has 39 x 30 pixels.* 40 x 30 are expected"):
         read_capture(folder)
     write_image(folder / "white_2.png", good[..., 0])
-    with pytest.raises(
-        BadInput, match=r"white_2\.png is 40 x 30 grey, 8 bits, but .*white_0\.png is 40 x 30 RGB"
-    ):
+    with bad_input(r"white_2\.png is 40 x 30 grey, 8 bits, but .*white_0\.png is 40 x 30 RGB"):
         read_capture(folder)
     write_image(folder / "white_2.png", good.astype(np.uint16))
-    with pytest.raises(BadInput, match=r"white_2\.png is 40 x 30 RGB, 16 bits"):
+    with bad_input(r"white_2\.png is 40 x 30 RGB, 16 bits"):
         read_capture(folder)
     write_image(folder / "white_2.png", good)
     edit(folder / "rig.json", camera_with(image_size=[30, 40]))
-    with pytest.raises(BadInput, match=r"white_0\.png .*rig for another camera"):
+    with bad_input(r"white_0\.png .*rig for another camera"):
         read_capture(folder)
 
 
@@ -358,8 +349,8 @@ def test_a_capture_that_could_not_be_read_back_is_not_written(tmp_path, build_ca
     capture = build_capture()
     white = capture.bands["white"]
 
-    def refused(words: str, **changes: Any) -> None:
-        with pytest.raises(BadInput, match=words):
+    def refused(words, **changes):
+        with bad_input(words):
             write_capture(replace(capture, **changes), tmp_path / "out")
         assert list(tmp_path.iterdir()) == []
 
@@ -384,19 +375,19 @@ def test_a_tiff_file_that_is_not_the_one_written_is_refused(tmp_path, build_capt
     data[len(data) // 2] ^= 1
     file.write_bytes(data)
     assert read_image(file).size > 0
-    with pytest.raises(BadInput, match=r"white_1\.tiff is damaged or was changed"):
+    with bad_input(r"white_1\.tiff is damaged or was changed"):
         read_capture(folder)
     edit(folder / "capture.json", lambda document: document["sha256"].pop("white_1.tiff"))
     read_capture(folder)
 
 
 def test_a_capture_is_not_overwritten_unless_asked(folder, build_capture):
-    with pytest.raises(BadInput, match="exists and is not empty"):
+    with bad_input("exists and is not empty"):
         write_capture(build_capture(), folder)
     write_capture(build_capture(np.uint16), folder, overwrite=True)
     assert read_capture(folder).bands["white"].pixels.dtype == np.uint16
     (folder / "notes.txt").write_text("mine")
-    with pytest.raises(BadInput, match=r"'notes\.txt', which splitknit did not write"):
+    with bad_input(r"'notes\.txt', which splitknit did not write"):
         write_capture(build_capture(), folder, overwrite=True)
     assert (folder / "notes.txt").read_text() == "mine"
 
@@ -433,7 +424,7 @@ def test_a_written_rig_is_read_back(tmp_path):
     assert rig.leds == leds
     assert rig.provenance == {"by": "hand", "residuals": [1, 2.5]}
     assert rig.camera.matrix is not None
-    np.testing.assert_array_equal(rig.camera.matrix, MATRIX)
+    assert_array_equal(rig.camera.matrix, MATRIX)
     for name in ("px_per_mm", "image_size", "height_mm", "model", "distortion", "shading"):
         assert getattr(rig.camera, name) == getattr(camera, name)
     first = (tmp_path / "rig.json").read_bytes()
@@ -497,18 +488,18 @@ def test_wrong_rigs_are_refused(change, words, tmp_path):
     document = json.loads(json.dumps(RIG))
     change(document)
     (tmp_path / "rig.json").write_text(json.dumps(document))
-    with pytest.raises(BadInput, match=words) as caught:
+    with bad_input(words) as caught:
         read_rig(tmp_path / "rig.json")
     assert str(tmp_path / "rig.json") in str(caught.value)
 
 
 def test_coplanar_lights_are_refused(folder):
-    def flatten(document: Any) -> None:
+    def flatten(document):
         for k, led in enumerate(document["leds"]):
             led["position_mm"] = [10.0 * (k % 4), 0.0, 140.0]
 
     edit(folder / "rig.json", flatten)
-    with pytest.raises(BadInput, match=r"capture\.json: bands\.white\.leds: lights are coplanar"):
+    with bad_input(r"capture\.json: bands\.white\.leds: lights are coplanar"):
         read_capture(folder)
 
 
@@ -517,5 +508,5 @@ def test_the_images_of_a_capture_have_a_budget_together(folder, monkeypatch):
     monkeypatch.setattr("splitknit.io.images.STACK_BYTES", 2 * pixels.nbytes)
     read_capture(folder)
     monkeypatch.setattr("splitknit.io.images.STACK_BYTES", 2 * pixels.nbytes - 1)
-    with pytest.raises(BadInput, match=rf"take {2 * pixels.nbytes} bytes once decoded"):
+    with bad_input(rf"take {2 * pixels.nbytes} bytes once decoded"):
         read_capture(folder)

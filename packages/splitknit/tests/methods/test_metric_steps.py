@@ -1,17 +1,16 @@
 """Steps of the `metric` method one by one: walls, films, lights to the side, notes, pixels."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from dome_photographs import dome, stored_as, under, with_nir
+from dome_photographs import dome, stored_as, with_nir
+from refusals import bad_input
 from skin_scene import ring
 from splitknit import steps
-from splitknit.errors import BadInput
 from splitknit.methods import metric
 from splitknit.methods.metric import (
     COLOUR_MM,
@@ -22,18 +21,13 @@ from splitknit.methods.metric import (
     JPEG_LOSS_COARSE,
     LITTLE_GLOSS,
     RED_PART,
-    RELIEF_ROUNDS,
     SHAPE_MM,
-    SIDE_ROUNDS,
-    UNKNOWN_MM,
     WALL_OF_STEEP,
     WALL_PART,
     WHITE_ROUGHNESS,
     WHITE_SCATTERED,
 )
 from splitknit.methods.photometry import MAX_SLOPE
-from splitknit.model import Rig
-from splitknit.photometric.near_light import near_light
 from splitknit.presets import PRESETS
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import SkinImages
@@ -121,49 +115,11 @@ class TestWalls:
         assert metric.doubt_of_walls(np.where(inside, 0, slopes), 0 * slopes, inside) == ()
 
 
-@pytest.fixture(scope="module")
-def parameters():
-    return METRIC.parameters(False, "opaque")
-
-
 class TestOpaque:
     def bands(self):
         white, _ = dome("metric").white_and_nir(METRIC, 0.0)
         pixels = np.roll(white.light.stored.pixels, 2, axis=0)
         return white, stored_as(white, name="nir", pixels=pixels)
-
-    def test_white_alone_gives_the_whole_height(self, parameters):
-        white, _ = self.bands()
-        surface = metric.metric_opaque(white, white, parameters)
-        inside = white.inside
-        slopes, albedo, normals, _ = metric.near_slopes(
-            white, parameters.photometry.normals, parameters.height
-        )
-        height = metric.integrated(slopes, white, parameters.height)
-        np.testing.assert_array_equal(surface.height_mm[inside], height[inside])
-        np.testing.assert_array_equal(surface.normals, normals)
-        np.testing.assert_array_equal(surface.albedo, albedo)
-        np.testing.assert_allclose(
-            (surface.shape_mm + surface.ridge_mm)[inside], height[inside], atol=1e-6
-        )
-
-    def test_near_infrared_light_gives_the_slow_part(self, parameters):
-        white, nir = self.bands()
-        surface = metric.metric_opaque(white, nir, parameters)
-        heights = [
-            metric.integrated(
-                metric.near_slopes(band, parameters.photometry.normals, parameters.height)[0],
-                band,
-                parameters.height,
-            )
-            for band in (white, nir)
-        ]
-        expected = metric.crossover(
-            *heights, metric.ridge_response(white, parameters.shapelets), white.inside
-        )
-        np.testing.assert_allclose(
-            surface.height_mm[white.inside], expected[white.inside], atol=1e-6
-        )
 
     def test_its_facts_name_the_band_of_the_shape_and_the_material(self):
         surface = metric.opaque_surface(dome("metric"), METRIC)
@@ -180,68 +136,6 @@ class TestOpaque:
     def test_a_near_infrared_band_is_named_for_its_shape(self):
         both = with_nir(dome("metric"), 2)
         assert metric.opaque_surface(both, METRIC).facts["shape_source"] == "nir"
-
-
-class TestNearSlopes:
-    def test_distant_lights_need_one_round(self, monkeypatch):
-        white, _ = dome("metric").white_and_nir(METRIC, 0.0)
-        rounds = []
-        monkeypatch.setattr(metric, "integrated", lambda *_: rounds.append(1))
-        p = METRIC.parameters(False, "opaque")
-        metric.near_slopes(white, p.photometry.normals, p.height)
-        assert rounds == []
-
-    def test_near_lights_fall_on_the_surface_of_the_round_before(self, monkeypatch):
-        white, _ = dome("metric").white_and_nir(METRIC, 2.0)
-        leds = tuple(
-            replace(
-                led,
-                direction=None,
-                position_mm=tuple(120 * np.array(led.direction, dtype=float)),
-            )
-            for led in white.light.built.leds
-        )
-        near = under(white, leds=leds)
-        surfaces = []
-
-        def seen(images, rig, surface, inside, **options):
-            surfaces.append(surface.copy())
-            return near_light(images, rig, surface, inside, **options)
-
-        monkeypatch.setattr(metric, "_near_normals", seen)
-        p = METRIC.parameters(False, "opaque")
-        by_rows, dropped = metric.by_rows, []
-
-        def integrated(slopes, photographs, height):
-            assert (photographs, height) == (near, p.height)
-            return 0 * slopes[0] + 0.5
-
-        def watched(photographs, solve, *, without_clipped):
-            dropped.append(without_clipped)
-            return by_rows(photographs, solve, without_clipped=without_clipped)
-
-        monkeypatch.setattr(metric, "integrated", integrated)
-        monkeypatch.setattr(metric, "by_rows", watched)
-        metric.near_slopes(near, p.photometry.normals, p.height)
-        assert dropped == [True] * 3
-        assert [float(surface.mean()) for surface in surfaces] == [2.0, 2.5, 2.5]
-
-    def test_other_normals_are_those_of_distant_lights(self, monkeypatch):
-        white, _ = dome("metric").white_and_nir(METRIC, 0.0)
-        p = METRIC.parameters(False, "opaque")
-        dropped = []
-        by_rows = metric.by_rows
-
-        def watched(photographs, solve, *, without_clipped=False):
-            dropped.append(without_clipped)
-            return by_rows(photographs, solve, without_clipped=without_clipped)
-
-        monkeypatch.setattr(metric, "by_rows", watched)
-        for method in ("robust", "lambertian"):
-            settings = replace(p.photometry.normals, method=method)
-            slopes, _, normals, _ = metric.near_slopes(white, settings, p.height)
-            np.testing.assert_array_equal(slopes[0], metric.slopes_of(normals, white)[0])
-        assert dropped == [True, False]
 
 
 class TestFilms:
@@ -273,48 +167,15 @@ class TestFilms:
         images = skin_images(crossed=white_band(5), side=side)
         return images, metric.metric_polarised(images, "skin", p, networks)
 
-    def test_the_crossed_series_gives_the_first_surface(self, measured):
-        images, _ = self.polarised()
-        ((bands, grid, skin, p, networks),) = measured.skins
-        assert bands[0].stack is images.crossed.stack
-        assert bands[0].unpolarised is images.bands[0]
-        assert bands[1] is images.bands[1]
-        assert (grid, skin, networks) == (images.grid, "skin", "networks")
-        assert p == replace(METRIC.metric, rounds=RELIEF_ROUNDS)
-
-    def test_under_side_lights_the_shape_is_refined_once_more(self, measured):
-        side = white_band(4), white_band(6), ring("white")
-        self.polarised(side=side)
-        self.polarised(side=side, p=replace(METRIC.metric, rounds=1))
-        assert [p.rounds for _, _, _, p, _ in measured.skins] == [SIDE_ROUNDS, 1]
-
     def test_heights_are_split_into_a_slow_shape_and_a_relief(self, measured):
         images, surface = self.polarised()
         first = skin_surface()
         rest = measured.height - first.shape_mm
         slow = images.grid.smooth(rest, images.grid.mask, KNIT_MM)
-        np.testing.assert_allclose(surface.shape_mm, first.shape_mm + slow, atol=1e-6)
-        np.testing.assert_allclose(surface.relief_mm, rest - slow, atol=1e-6)
+        assert_allclose(surface.shape_mm, first.shape_mm + slow, atol=1e-6)
+        assert_allclose(surface.relief_mm, rest - slow, atol=1e-6)
         assert surface.deviation_mm is measured.error
         assert surface.facts == {"relief_by": "polarised", "specular": measured.fit}
-
-    def test_the_fit_starts_at_the_networks_relief(self, measured):
-        self.polarised()
-        np.testing.assert_array_equal(measured.start.relief_mm, skin_surface().relief_mm)
-        assert measured.films is True
-
-    def test_without_networks_it_starts_at_a_smooth_shape(self, measured):
-        self.polarised(networks=None)
-        assert (measured.start.relief_mm == 0).all()
-        assert (measured.start.deviation_mm == np.float32(UNKNOWN_MM)).all()
-        np.testing.assert_array_equal(measured.start.shape_mm, skin_surface().shape_mm)
-
-    def test_the_crossed_series_under_side_lights_is_matt_as_well(self, measured):
-        crossed_side = white_band(6)
-        images, _ = self.polarised(side=(white_band(4), crossed_side, ring("white")))
-        assert measured.matt == (images.crossed, crossed_side)
-        self.polarised()
-        assert measured.matt[1] is None
 
     def test_hardly_any_specular_reflection_leaves_the_modelled_surface(self, measured):
         measured.fit["specular_over_noise"] = np.nextafter(FAINT, 0)
@@ -322,7 +183,7 @@ class TestFilms:
         assert measured.skins[1][0] is images.bands
         assert measured.skins[1][1:] == (images.grid, "skin", METRIC.metric, "networks")
         assert surface.facts == {"relief_by": "network", "specular": measured.fit}
-        np.testing.assert_array_equal(surface.albedo, field(2))
+        assert_array_equal(surface.albedo, field(2))
         measured.fit["specular_over_noise"] = FAINT
         assert self.polarised()[1].facts["relief_by"] == "polarised"
 
@@ -336,8 +197,8 @@ class TestFilms:
         rest = measured.height - first.shape_mm
         rest = rest - grid.smooth(rest, grid.mask, SHAPE_MM)
         slow = grid.smooth(rest, grid.mask, KNIT_MM)
-        np.testing.assert_allclose(surface.relief_mm, rest - slow, atol=1e-5)
-        np.testing.assert_allclose(surface.shape_mm, first.shape_mm + slow, atol=1e-5)
+        assert_allclose(surface.relief_mm, rest - slow, atol=1e-5)
+        assert_allclose(surface.shape_mm, first.shape_mm + slow, atol=1e-5)
         assert surface.facts == {"relief_by": "side", "specular": measured.fit}
         assert measured.films is False
         assert measured.skins[0][0] is images.bands
@@ -349,7 +210,7 @@ class TestFilms:
         part = RED_PART * blue / red
         for band, matt in zip((white, images.side[0]), measured.matt, strict=True):
             expected = band.stack - (band.stack[2] - part * band.stack[0]) / 2
-            np.testing.assert_allclose(matt.stack, expected, atol=1e-5)
+            assert_allclose(matt.stack, expected, atol=1e-5)
 
     @pytest.mark.parametrize(
         ("name", "value"),
@@ -364,45 +225,11 @@ class TestFilms:
         measured.fit[name] = value
         _, surface = self.from_the_side()
         assert surface.facts == {"relief_by": "network", "specular": measured.fit}
-        np.testing.assert_array_equal(surface.relief_mm, skin_surface().relief_mm)
+        assert_array_equal(surface.relief_mm, skin_surface().relief_mm)
 
     def test_white_light_at_its_limits_is_used(self, measured):
         measured.fit["specular_over_noise"] = FAINT
         assert self.from_the_side()[1].facts["relief_by"] == "side"
-
-
-@dataclass(frozen=True)
-class SpecularStandIn:
-    stack: np.ndarray
-    rig: Rig
-    noise: float
-
-
-class TestSpecularHeights:
-    @pytest.fixture
-    def fitted(self, monkeypatch):
-        """What the fit of the specular image gets."""
-        calls = SimpleNamespace(images=[], fit=None)
-
-        def specular_images(white, matt, rig, grid, shape_mm):
-            calls.images.append((white, matt, rig, shape_mm))
-            stack = np.full((len(rig.leds), SIDE, SIDE), float(len(calls.images)))
-            return SpecularStandIn(stack, rig, noise=0.1 / len(calls.images))
-
-        monkeypatch.setattr(metric, "specular_images", specular_images)
-        monkeypatch.setattr(metric, "polarised_heights", lambda *fit: setattr(calls, "fit", fit))
-        return calls
-
-    def test_side_lights_are_added_with_the_smaller_noise(self, fitted):
-        side = (white_band(4), None, replace(ring("white"), leds=ring("white").leds[:3]))
-        images = skin_images(side=side)
-        metric._specular_heights(images, ("matt", "side matt"), skin_surface(), films=False)
-        assert fitted.images[1][:3] == (side[0], "side matt", side[2])
-        specular = fitted.fit[0]
-        np.testing.assert_array_equal(specular.stack[:, 0, 0], [1] * 7 + [2] * 3)
-        assert specular.rig.leds == images.parallel.leds + side[2].leds
-        assert specular.noise == 0.05
-        assert fitted.fit[4] is False
 
 
 class TestNotes:
@@ -489,29 +316,6 @@ class TestOnPixels:
             monkeypatch.setattr(metric, name, method(name))
         return names
 
-    @pytest.mark.parametrize(
-        ("name", "films", "side", "heights"),
-        [
-            ("metric_skin", None, None, "modelled"),
-            ("metric_side", None, "side", "modelled"),
-            ("metric_polarised", "films", None, "measured"),
-            ("metric_polarised", "films", "side", "measured"),
-        ],
-    )
-    def test_the_photographs_choose_the_method(self, chosen, name, films, side, heights):
-        side = side and (None, None, ring("white"))
-        surface = metric._on_pixels(skin_images(crossed=films, side=side), METRIC, 0.0)
-        ((called, arguments),) = chosen
-        assert called == name
-        *images_given, skin, p, networks = arguments
-        assert (skin, p, networks) == (METRIC.skin, METRIC.metric, None)
-        if name == "metric_skin":
-            bands, grid = images_given
-            assert [band.channels for band in bands] == [("red", "green", "blue")] * 2
-            assert grid.shape == (SIDE, SIDE)
-        assert surface.facts["heights"] == heights
-        assert surface.facts["shape_source"] == "nir"
-
     def test_the_gain_is_part_of_the_uncertainty_of_modelled_ridges(self, monkeypatch):
         known = {"relief_rms_um": 20.0, "relief_error_um": 2.0, "gloss": 1.0}
         facts = {"relief_by": "network", "gain_uncertainty": 0.5, **known}
@@ -522,13 +326,13 @@ class TestOnPixels:
         fields = first.relief_mm, first.deviation_mm, first.shape_mm
         stated = metric.stated_deviation(*fields, images.grid, 0.5)
         expected = 1000 * np.hypot(stated, 0.3 * first.relief_mm)
-        np.testing.assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
+        assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
 
     def test_what_jpeg_took_is_part_of_the_uncertainty(self, chosen):
         first = skin_surface()
         surface = metric._on_pixels(skin_images(), METRIC, 0.3)
         expected = 1000 * np.hypot(first.deviation_mm, 0.3 * first.relief_mm)
-        np.testing.assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
+        assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
 
     def test_each_run_of_the_relief_network_is_reported(self, monkeypatch):
         reported = []
@@ -564,7 +368,7 @@ class TestSkin:
         red = replace(rig, leds=tuple(replace(led, colour="red") for led in rig.leds))
         white = replace(photographs.observation.white, built=red)
         lit = photographs.observation.with_light(white)
-        with pytest.raises(BadInput, match="each coloured LED differently"):
+        with bad_input("each coloured LED differently"):
             metric.skin_surface(replace(photographs, observation=lit), METRIC)
 
     @pytest.mark.parametrize(

@@ -1,14 +1,13 @@
 """Photographs of a finger and its surface in the full picture."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from dome_photographs import COLOUR, PX_PER_MM, dome, with_nir
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.findings import Finding, Severity
 from splitknit.methods import photographs as module
 from splitknit.methods.photographs import (
@@ -57,7 +56,7 @@ class TestBands:
         assert {led.band for led in nir.rig.leds} == {"nir"}
         assert len(nir.rig.leds) == 8
         assert (nir.px_per_mm, nir.pitch_mm) == (PX_PER_MM, 1 / PX_PER_MM)
-        np.testing.assert_array_equal(nir.inside, taken.finger.wider[taken.finger.window])
+        assert_array_equal(nir.inside, taken.finger.wider[taken.finger.window])
 
     def test_findings_of_the_search_and_the_diagnosis_are_kept(self, photographs, monkeypatch):
         noted, doubted = Finding("hollow", "a note."), Finding("spoilt", "a doubt.", Severity.DOUBT)
@@ -137,14 +136,14 @@ class TestPlaced:
             whole = getattr(result, name)
             assert whole.dtype == np.float32
             assert np.isnan(whole[~mask]).all()
-            np.testing.assert_array_equal(whole[window][inside], getattr(surface, name)[inside])
+            assert_array_equal(whole[window][inside], getattr(surface, name)[inside])
         # a height above the plane is not known, so that only differences count
         difference = (result.height_mm[window] - surface.height_mm)[inside]
         assert np.ptp(difference) < 1e-5
 
     def test_parts_sum_to_the_height(self, result):
         mask = result.mask
-        np.testing.assert_allclose(
+        assert_allclose(
             (result.shape_mm + result.ridge_mm)[mask], result.height_mm[mask], atol=1e-5
         )
 
@@ -154,9 +153,7 @@ class TestPlaced:
             outside = vectors[~result.mask]
             assert (outside == 0).all()
             assert not np.signbit(outside).any()
-            np.testing.assert_allclose(
-                np.linalg.norm(vectors[result.mask], axis=-1), 1.0, atol=1e-5
-            )
+            assert_allclose(np.linalg.norm(vectors[result.mask], axis=-1), 1.0, atol=1e-5)
 
     def test_what_is_not_measured_is_none(self, photographs, surface):
         bare = replace(surface, normals=None, colour=None, uncertainty_um=None)
@@ -173,7 +170,7 @@ class TestPlaced:
             uncertainty_um=np.full(shape, 2.5, dtype=np.float32),
         )
         result = placed(photographs, known, 0.0)
-        np.testing.assert_allclose(
+        assert_allclose(
             result.colour[result.mask], np.tile(COLOUR, (result.mask.sum(), 1)), rtol=1e-6
         )
         assert (result.uncertainty_um[result.mask] == 2.5).all()
@@ -208,7 +205,7 @@ class TestPlaced:
 
 class TestMirrorShape:
     def test_a_surface_kept_whole_has_no_place_for_it(self):
-        with pytest.raises(BadInput, match="keeps the visible surface whole"):
+        with bad_input("keeps the visible surface whole"):
             override(EA, {"shape.source": "mirror"})
 
     @pytest.mark.parametrize(("settings", "detailed"), [(METRIC, True), (SNK, False)])

@@ -1,7 +1,5 @@
 """A scale that nobody measured is stated later, or taken from the ridges; odd ones are doubted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -9,7 +7,7 @@ import numpy as np
 import pytest
 
 from dome_photographs import dome
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.methods import scale
 from splitknit.methods.scale import with_scale, with_working_scale
 from splitknit.observation.plain import capture_of_arrays
@@ -76,9 +74,9 @@ class TestStated:
         }
 
     def test_a_second_scale_is_refused(self):
-        with pytest.raises(BadInput, match=r"scale already: 10 px/mm"):
+        with bad_input(r"scale already: 10 px/mm"):
             with_scale(with_camera(ridged(), px_per_mm=10.0, scale_known=True), 20.0)
-        with pytest.raises(BadInput, match="both give the scale"):
+        with bad_input("both give the scale"):
             with_scale(ridged(), 20.0, 0.5)
 
 

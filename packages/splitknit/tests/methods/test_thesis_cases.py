@@ -1,11 +1,10 @@
 """The thesis's cases: what each makes of visible and near-infrared images, and what it states."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from dome_photographs import PX_PER_MM, dome, stored_as, under, with_nir
 from splitknit.capture import Ambient
@@ -54,7 +53,7 @@ def shape(bands):
 
 def assert_same(actual, expected, bands):
     inside = bands[0].inside
-    np.testing.assert_allclose(actual[inside], expected[inside], atol=1e-6)
+    assert_allclose(actual[inside], expected[inside], atol=1e-6)
 
 
 class TestCases:
@@ -92,8 +91,8 @@ class TestCases:
     def test_normals_and_albedo_are_those_of_white_light(self, case, bands):
         surface = case(*bands, PARAMETERS)
         normals, albedo = thesis.visible_normals(bands[0], PARAMETERS.photometry)
-        np.testing.assert_array_equal(surface.normals, normals)
-        np.testing.assert_array_equal(surface.albedo, albedo)
+        assert_array_equal(surface.normals, normals)
+        assert_array_equal(surface.albedo, albedo)
 
 
 class TestThesisSurface:
@@ -106,7 +105,7 @@ class TestThesisSurface:
         surface = thesis.thesis_surface(photographs, settings)
         white, nir = photographs.white_and_nir(settings, 0.0)
         expected = getattr(thesis, case)(white, nir, settings.parameters(False, "opaque"))
-        np.testing.assert_array_equal(surface.height_mm, expected.height_mm)
+        assert_array_equal(surface.height_mm, expected.height_mm)
         assert surface.whole == expected.whole
 
     def test_its_facts_name_the_band_of_the_shape(self, bands):
@@ -136,8 +135,8 @@ class TestThesisSurface:
         soft = thesis.thesis_surface(photographs, override(EA, {"smooth.sigma_mm": 0.3}))
         for name in ("height_mm", "ridge_mm"):
             expected = smoothed(getattr(plain, name), white.inside, 0.3 * PX_PER_MM)
-            np.testing.assert_allclose(getattr(soft, name), expected, atol=1e-7)
-        np.testing.assert_allclose(soft.shape_mm, soft.height_mm - soft.ridge_mm, atol=1e-7)
+            assert_allclose(getattr(soft, name), expected, atol=1e-7)
+        assert_allclose(soft.shape_mm, soft.height_mm - soft.ridge_mm, atol=1e-7)
 
     def test_a_sigma_of_zero_leaves_it(self, bands):
         surface = thesis.ea(*bands, PARAMETERS)
@@ -180,41 +179,17 @@ class TestPreparedLight:
         )
         assert [name for name, _ in steps] == ["balanced", "equalised", "direct"]
 
-    @pytest.mark.parametrize(
-        ("settings", "name"),
-        [
-            ({"balance": True}, "balanced"),
-            ({"clahe": True}, "equalised"),
-            ({"method": "network"}, "direct"),
-        ],
-    )
-    def test_each_is_taken_alone(self, bands, steps, settings, name):
-        thesis.visible_normals(bands[0], self.photometry(**settings))
-        assert [taken for taken, _ in steps] == [name]
-
-    def test_none_is_taken_of_plain_light(self, bands, steps):
-        thesis.visible_normals(bands[0], self.photometry())
-        assert steps == []
-
     def test_colours_are_balanced_on_the_kept_skin(self, bands, steps):
         white = bands[0]
         thesis.visible_normals(white, self.photometry(balance=True))
         rig, mask = steps[0][1]
         assert rig.leds == white.rig.leds
-        np.testing.assert_array_equal(mask, white.finger.mask[white.finger.window])
+        assert_array_equal(mask, white.finger.mask[white.finger.window])
 
     def test_direct_light_is_of_the_band_and_its_settings(self, bands, steps):
         settings = self.photometry(method="network")
         thesis.visible_normals(bands[0], settings)
         assert steps[0][1] == (bands[0], settings.direct)
-
-    def test_prepared_light_has_normals_inside_the_mask(self, bands, steps, monkeypatch):
-        masks = []
-        monkeypatch.setattr(
-            thesis, "distant_normals", lambda images, lights, inside, p: masks.append(inside)
-        )
-        thesis.visible_normals(bands[0], self.photometry(balance=True))
-        np.testing.assert_array_equal(masks[0], bands[0].inside)
 
     def test_grey_images_are_not_negative(self, bands):
         white = bands[0]
@@ -233,8 +208,8 @@ class TestPreparedLight:
         equal = thesis._lights(bright, replace(enhance, clahe=True))
         lengths = np.linalg.norm(plain, axis=1)
         assert lengths[0] == pytest.approx(2 * lengths[1], rel=1e-6)
-        np.testing.assert_allclose(np.linalg.norm(equal, axis=1), 1.0)
-        np.testing.assert_allclose(equal * lengths[:, None], plain)
+        assert_allclose(np.linalg.norm(equal, axis=1), 1.0)
+        assert_allclose(equal * lengths[:, None], plain)
 
 
 class TestDirectLight:
@@ -256,17 +231,5 @@ class TestDirectLight:
         direct = self.direct()
         thesis._direct_images(images, white, direct)
         seen, network = asked["grey"]
-        np.testing.assert_array_equal(seen, images * white.inside)
+        assert_array_equal(seen, images * white.inside)
         assert network == direct.network
-
-    @pytest.mark.parametrize(
-        ("method", "material", "words"),
-        [
-            ("none", "skin", "none"),
-            ("network", "opaque", "none (opaque material: all light is direct)"),
-            ("network", "skin", "direct light by the network 'direct'"),
-        ],
-    )
-    def test_it_is_stated(self, method, material, words):
-        direct = replace(PARAMETERS.photometry.direct, method=method, network="direct")
-        assert thesis._separation_of(direct, material) == words

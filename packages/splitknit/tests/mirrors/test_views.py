@@ -1,18 +1,17 @@
 """Which part of a picture is the finger and which its mirror images; and pictures that are
 refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+from refusals import bad_input
 from splitknit.errors import BadInput
 from splitknit.imaging.areas import mirror_outline, without_mirrors
-from splitknit.mirrors.views import Views, view_binning, views_in
-from splitknit.model import BoolArray, Camera, FloatArray, Mirror, Rig
+from splitknit.mirrors.views import view_binning, views_in
+from splitknit.model import Camera, Mirror, Rig
 
 CAMERA = Camera(5.0, (300, 460))
 LEFT = Mirror(
@@ -26,11 +25,11 @@ RIG = Rig(CAMERA, (), mirrors=(LEFT, RIGHT))
 
 
 @pytest.fixture(autouse=True)
-def bright_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+def bright_pieces(monkeypatch):
     """The largest bright piece stands for the finger; its outline is looked for in a piece of the
     image."""
 
-    def region(image: FloatArray, _: float) -> BoolArray:
+    def region(image, _):
         _, labels, stats, _ = cv2.connectedComponentsWithStats(
             (image.sum(axis=2) > 0.9).astype(np.uint8)
         )
@@ -38,7 +37,7 @@ def bright_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
             raise BadInput("no finger was found.")
         return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
 
-    def outline(image: FloatArray, rough: BoolArray, px_per_mm: float) -> BoolArray:
+    def outline(image, rough, px_per_mm):
         assert rough.any() and image.shape[0] < 1000
         return region(image, px_per_mm)
 
@@ -46,7 +45,7 @@ def bright_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splitknit.mirrors.views.finger_outline", outline)
 
 
-def picture(*fingers: tuple[int, int]) -> FloatArray:
+def picture(*fingers):
     """Fingers as bright strips: (first column, width); mirrors with grey frames and a second
     reflection."""
     image = np.full((300, 460, 3), 0.02, dtype=np.float32)
@@ -64,7 +63,7 @@ def picture(*fingers: tuple[int, int]) -> FloatArray:
 FRONT, BESIDE = (190, 80), ((70, 60), (330, 60))
 
 
-def check_columns(views: Views, scale: int) -> None:
+def check_columns(views, scale):
     """Front, left and right view show the fingers FRONT and BESIDE in a picture of this scale."""
     masks = views.front, *(views.mirrors[name] for name in ("left", "right"))
     assert set(views.mirrors) == {"left", "right"}
@@ -93,12 +92,12 @@ def test_a_mirror_without_a_finger_is_left_out():
 )
 def test_pictures_without_one_finger_and_its_mirror_images_are_refused(fingers, words, scale):
     image, camera = large(*fingers) if scale == 4 else (picture(*fingers), CAMERA)
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         views_in(image, replace(RIG, camera=camera), 1)
 
 
 def test_a_rig_without_mirrors_is_refused():
-    with pytest.raises(BadInput, match="the rig has no mirrors"):
+    with bad_input("the rig has no mirrors"):
         views_in(picture(FRONT), replace(RIG, mirrors=()), 1)
 
 
@@ -110,7 +109,7 @@ def test_mirror_images_are_painted_over_and_the_finger_is_kept():
     assert view_binning(44.0) == 2 and view_binning(8.0) == 1
 
 
-def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
+def large(*fingers):
     """The picture at four times the scale, one row and two columns larger: no whole number of the
     search's blocks."""
     image = np.kron(picture(*fingers), np.ones((4, 4, 1), dtype=np.float32))

@@ -1,46 +1,32 @@
-from __future__ import annotations
-
 import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from splitknit.errors import BadInput
-from splitknit.networks.unet import (
-    NO_TELEMETRY,
-    Network,
-    load_network,
-    run_network,
-    running,
-    use_device,
-)
-from splitknit.separation.direct import (
-    direct_light,
-    exposure_level,
-    local_level,
-)
+from refusals import bad_input
+from splitknit.networks.unet import NO_TELEMETRY, load_network, run_network, running, use_device
+from splitknit.separation.direct import direct_light, exposure_level, local_level
 
 TINY = Path(__file__).parent / "tiny.onnx"
 """A U-Net of width 2 with random weights; its card tells how it was made."""
 
 
 @pytest.fixture(scope="module")
-def network() -> Network:
+def network():
     return load_network(TINY)
 
 
 @pytest.fixture(scope="module")
-def images() -> np.ndarray:
+def images():
     return np.random.default_rng(5).random((2, 3, 203, 150), dtype=np.float32)
 
 
 @pytest.fixture(params=["0", "", None])
-def telemetry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def telemetry(request, monkeypatch):
     """The environment variable does not turn telemetry off."""
     monkeypatch.delenv(NO_TELEMETRY, raising=False)
     if request.param is not None:
@@ -50,7 +36,7 @@ def telemetry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.usefixtures("telemetry")
 def test_onnxruntime_is_imported_without_telemetry(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)  # as if it were not installed
-    with pytest.raises(BadInput, match="pip install onnxruntime"):
+    with bad_input("pip install onnxruntime"):
         load_network(TINY)
     assert os.environ[NO_TELEMETRY] == "1"
 
@@ -58,14 +44,12 @@ def test_onnxruntime_is_imported_without_telemetry(monkeypatch):
 @pytest.mark.usefixtures("network", "telemetry")
 def test_onnxruntime_imported_with_telemetry_is_refused():
     assert "onnxruntime" in sys.modules
-    with pytest.raises(BadInput, match="ORT_DISABLE_TELEMETRY=1 before"):
+    with bad_input("ORT_DISABLE_TELEMETRY=1 before"):
         load_network(TINY)
 
 
 @pytest.fixture
-def offered(
-    network: Network, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[tuple[list[str], list[Any]]]:
+def offered(network, monkeypatch):
     """Providers that onnxruntime, which `network` has imported, is made to offer, and those that
     were asked for; everything runs on the CPU."""
     import onnxruntime
@@ -73,7 +57,7 @@ def offered(
     there, asked = ["CPUExecutionProvider"], []
     real = onnxruntime.InferenceSession
 
-    def session(weights: bytes, options: Any, providers: list[Any], enable_fallback: int) -> Any:
+    def session(weights, options, providers, enable_fallback):
         asked.append(providers)
         on_cpu = real(
             weights, options, providers=["CPUExecutionProvider"], enable_fallback=enable_fallback
@@ -120,14 +104,14 @@ def test_networks_run_on_cuda_where_onnxruntime_offers_it(offered, images):
     ],
 )
 def test_a_device_that_is_not_offered_is_refused(offered, device, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         use_device(device)
 
 
 def test_cuda_without_its_libraries_is_refused(offered):
     offered[0][:0] = ["CUDAExecutionProvider", "broken"]
     use_device("cuda")
-    with pytest.raises(BadInput, match="cannot start cuda"):
+    with bad_input("cannot start cuda"):
         load_network(TINY)
 
 
@@ -150,7 +134,7 @@ def test_the_output_in_tiles_equals_that_in_one_piece(network, images, tile):
     whole = run_network(network, images, tile=4096)
     assert whole.shape == images.shape
     assert np.ptp(whole) > 0.05
-    np.testing.assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
+    assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
 
 
 def test_onnxruntime_keeps_no_memory_pattern_of_each_shape(network):
@@ -187,20 +171,18 @@ def test_outputs_have_the_same_bytes_on_one_two_and_four_threads(name):
 def test_sides_that_are_no_multiple_of_the_stride_are_reflected(network, images):
     padded = np.pad(images, ((0, 0), (0, 0), (0, 5), (0, 2)), mode="reflect")
     expected = run_network(network, padded)[:, :, :203, :150]
-    np.testing.assert_array_equal(run_network(network, images), expected)
+    assert_array_equal(run_network(network, images), expected)
 
 
 def test_a_grey_image_fills_every_input_channel(network, images):
     grey = images[:, 0]
     expected = run_network(network, np.repeat(grey[:, None], 3, axis=1))
-    np.testing.assert_array_equal(run_network(network, grey), expected)
-    np.testing.assert_array_equal(run_network(network, grey[:, None]), expected)
+    assert_array_equal(run_network(network, grey), expected)
+    assert_array_equal(run_network(network, grey[:, None]), expected)
 
 
 def test_each_image_is_processed_independently(network, images):
-    np.testing.assert_array_equal(
-        run_network(network, images[1:]), run_network(network, images)[1:]
-    )
+    assert_array_equal(run_network(network, images[1:]), run_network(network, images)[1:])
 
 
 @pytest.mark.parametrize(
@@ -213,20 +195,20 @@ def test_each_image_is_processed_independently(network, images):
     ],
 )
 def test_images_of_a_wrong_shape_are_refused(network, shape, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         run_network(network, np.ones(shape, dtype=np.float32))
 
 
 def test_an_image_with_nan_is_refused(network):
     image = np.ones((1, 16, 16), dtype=np.float32)
     image[0, 3, 3] = np.nan
-    with pytest.raises(BadInput, match="NaN"):
+    with bad_input("NaN"):
         run_network(network, image)
 
 
 def test_direct_light_does_not_depend_on_the_exposure(network, images):
     once = direct_light(images, network)
-    np.testing.assert_allclose(
+    assert_allclose(
         direct_light(images * np.float32(0.125), network), 0.125 * once, rtol=1e-4, atol=1e-6
     )
     assert once.shape == images.shape and (once >= 0).all() and (once <= images).all()
@@ -238,7 +220,7 @@ def test_direct_light_of_grey_images_is_grey(network, images):
     assert direct.shape == grey.shape
     level = local_level(grey[0])
     raw = run_network(network, grey[:1] / level).mean(axis=1)[0] * level
-    np.testing.assert_allclose(direct[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
+    assert_allclose(direct[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
 
 
 def test_the_exposure_level_is_that_of_the_skin():
@@ -251,10 +233,10 @@ def test_the_exposure_level_is_that_of_the_skin():
 def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline():
     image = np.zeros((3, 120, 163), dtype=np.float32)
     image[0, :, 60:], image[1, :, 60:], image[2, :, 60:] = 0.6, 0.3, 0.3
-    np.testing.assert_allclose(local_level(image)[:, 60:], 0.4, rtol=0.02)
+    assert_allclose(local_level(image)[:, 60:], 0.4, rtol=0.02)
     image[:, :, 60:] *= np.linspace(0.5, 1.5, 103, dtype=np.float32)
     expected = 0.4 * np.linspace(0.5, 1.5, 103)[20:-20]
-    np.testing.assert_allclose(local_level(image)[60, 80:-20], expected, rtol=0.05)
+    assert_allclose(local_level(image)[60, 80:-20], expected, rtol=0.05)
     dark = np.full((64, 64), 1e-4, dtype=np.float32)
     dark[:, 40:] = 1.0
     assert local_level(dark)[:, 0].max() == pytest.approx(0.05)  # not the noise's own level

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -8,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.networks import unet
 from splitknit.networks.unet import FORMAT, load_network, read_network
 
@@ -16,13 +14,13 @@ TINY = Path(__file__).parent / "tiny.onnx"
 
 
 @pytest.fixture
-def copy(tmp_path: Path) -> Path:
+def copy(tmp_path):
     for suffix in (".onnx", ".json"):
         shutil.copy(TINY.with_suffix(suffix), tmp_path / f"net{suffix}")
     return tmp_path / "net.onnx"
 
 
-def write_card(weights: Path, **sizes: int) -> None:
+def write_card(weights, **sizes):
     digest = hashlib.sha256(weights.read_bytes()).hexdigest()
     card = {"format": FORMAT, "version": 1, "name": "net", "sha256": digest, **sizes}
     weights.with_suffix(".json").write_text(json.dumps(card))
@@ -39,13 +37,11 @@ def test_weights_with_a_changed_byte_are_refused(copy):
     data = bytearray(copy.read_bytes())
     data[len(data) // 2] ^= 1
     copy.write_bytes(data)
-    with pytest.raises(
-        BadInput, match=r"damaged or not those of their card .* copy the network again"
-    ):
+    with bad_input(r"damaged or not those of their card .* copy the network again"):
         load_network(copy)
 
 
-def message(*fields: tuple[int, bytes | int | str]) -> bytes:
+def message(*fields):
     """A message of Protocol Buffers, of numbers and parts below 2^14."""
     encoded = b""
     for number, value in fields:
@@ -77,27 +73,27 @@ def test_data_outside_the_file_are_refused(copy, tmp_path, monkeypatch):
     write_card(copy, channels_in=1, channels_out=1, stride=1, reach=0)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "values").write_bytes(bytes(4 * 64 * 64))
-    with pytest.raises(BadInput, match="may refer to data outside its file"):
+    with bad_input("may refer to data outside its file"):
         load_network(copy)
 
 
 def test_missing_files_are_named(copy, tmp_path):
     copy.with_suffix(".json").unlink()
-    with pytest.raises(BadInput, match=r"the card '.*net\.json' cannot be read"):
+    with bad_input(r"the card '.*net\.json' cannot be read"):
         load_network(copy)
-    with pytest.raises(BadInput, match=r"the weights '.*none\.onnx' cannot be read"):
+    with bad_input(r"the weights '.*none\.onnx' cannot be read"):
         load_network(tmp_path / "none.onnx")
 
 
 def test_weights_that_are_no_regular_file_are_refused(copy):
     copy.unlink()
     os.mkfifo(copy)
-    with pytest.raises(BadInput, match=r"is not a file\); copy the network again"):
+    with bad_input(r"is not a file\); copy the network again"):
         load_network(copy)
 
 
 def test_an_unknown_network_name_is_refused():
-    with pytest.raises(BadInput, match="there is no network 'dirct' in this installation"):
+    with bad_input("there is no network 'dirct' in this installation"):
         load_network("dirct")
 
 
@@ -113,14 +109,14 @@ def test_an_unknown_network_name_is_refused():
 def test_a_card_with_an_invalid_value_is_refused(copy, change, words):
     file = copy.with_suffix(".json")
     file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         load_network(copy)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "{}", '{"format": "splitknit-network", "version": 1}'])
 def test_a_damaged_card_is_refused(copy, text):
     copy.with_suffix(".json").write_text(text)
-    with pytest.raises(BadInput, match="is damaged"):
+    with bad_input("is damaged"):
         load_network(copy)
 
 
@@ -129,7 +125,7 @@ def test_weights_that_are_not_onnx_are_refused(copy):
     card = json.loads(copy.with_suffix(".json").read_text())
     sizes = ("channels_in", "channels_out", "stride", "reach")
     write_card(copy, **{name: card[name] for name in sizes})
-    with pytest.raises(BadInput, match="are not a network from one image to one image"):
+    with bad_input("are not a network from one image to one image"):
         load_network(copy)
 
 

@@ -1,9 +1,8 @@
 """Light through polarising films: specular and diffuse light."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from splitknit.observation.films import (
     findings_on_series,
@@ -16,8 +15,8 @@ def test_specular_light_is_parallel_less_crossed():
     rng = np.random.default_rng(0)
     diffuse, mirrored = rng.random((3, 5, 6)), rng.random((3, 5, 6))
     specular, crossed = separate_polarised(diffuse + mirrored, diffuse)
-    np.testing.assert_allclose(specular, mirrored)
-    np.testing.assert_array_equal(crossed, diffuse)
+    assert_allclose(specular, mirrored)
+    assert_array_equal(crossed, diffuse)
 
 
 def test_the_specular_picture_is_even_where_the_light_is_not():
@@ -36,7 +35,7 @@ def test_the_specular_picture_is_even_where_the_light_is_not():
 def test_series_that_do_not_belong_together_are_doubted():
     rows, columns = np.mgrid[-1:1:30j, -1:1:30j]
 
-    def lit_from(angles: np.ndarray) -> np.ndarray:
+    def lit_from(angles):
         angles = angles[:, None, None]
         light = 1 + 0.4 * (columns * np.cos(angles) + rows * np.sin(angles))
         return light.astype(np.float32)

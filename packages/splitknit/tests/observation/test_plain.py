@@ -1,17 +1,16 @@
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 import splitknit
 from io_shared import import_photographs
+from refusals import bad_input
 from splitknit.errors import BadInput
 from splitknit.imaging.pixels import srgb_code
 from splitknit.imaging.view import plane_points
@@ -27,7 +26,7 @@ from splitknit.pipeline import located
 
 
 @pytest.fixture
-def plain(tmp_path: Path) -> Path:
+def plain(tmp_path):
     rng = np.random.default_rng(2)
     for k in range(4):
         write_image(tmp_path / f"{k}.png", rng.integers(80, 200, (25, 35)).astype(np.uint8))
@@ -40,16 +39,14 @@ LIGHTS = np.array([[1.0, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 3]])
 
 
 @pytest.fixture
-def unmasked(plain: Path) -> Path:
+def unmasked(plain):
     """The photographs alone."""
     for name in ("mask.png", "dark.png"):
         (plain / name).unlink()
     return plain
 
 
-def convert(
-    plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any = None, **options: Any
-) -> Any:
+def convert(plain, lights=LIGHTS, count=4, intensities=None, **options):
     for k in range(count, 4):
         (plain / f"{k}.png").unlink()
     lights = np.asarray(lights, dtype=np.float64)
@@ -68,7 +65,7 @@ def test_photographs_and_lights_become_a_capture(plain):
         intensities=[1, 2, 3, 4],
         tip_direction_deg=90,
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         [led.direction for led in capture.rig.leds],
         LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True),
     )
@@ -83,13 +80,13 @@ def test_photographs_and_lights_become_a_capture(plain):
     assert capture.mask.sum() == 25
     assert len(capture.hashes) == 6
     band = capture.bands["white"]
-    np.testing.assert_allclose(
+    assert_allclose(
         observe(capture).white.grey, (band.pixels[..., 0].astype(float) - 71) / 255, atol=1e-6
     )
     write_capture(capture, plain / "capture")
     again = read_capture(plain / "capture")
-    np.testing.assert_array_equal(again.bands["white"].pixels, band.pixels)
-    np.testing.assert_allclose(again.rig.light_vectors(), capture.rig.light_vectors(), atol=1e-12)
+    assert_array_equal(again.bands["white"].pixels, band.pixels)
+    assert_allclose(again.rig.light_vectors(), capture.rig.light_vectors(), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -110,28 +107,50 @@ def test_photographs_and_lights_become_a_capture(plain):
     ],
 )
 def test_lights_and_options_that_cannot_be_used_are_refused(options, words, plain):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         convert(plain, **options)
 
 
+UNITS = np.array([[1, 0, 1], [0, 1.5, 1]])
+ANGLES = np.array([[0.5, 0, np.sqrt(0.75)], [0, np.sqrt(0.75), 0.5]])
+
+
 @pytest.mark.parametrize(
-    "text",
+    ("text", "lights", "names", "bright"),
     [
-        "2\n1 0 1\n0 1.5e0 1\n",
-        "1 0 1\n0 1.5 1",
-        "# x y z\n\n1, 0, 1  # first\r\n0;1.5;1\n",
-        "\ufeff1 0 1\n0 1.5 1\n",
-        "1,0 0,0 1,0\n0,0 1,5 1,0\n",
-        "1,0; 0,0; 1,0\n0,0; 1,5; 1,0\n",
-        "1.0, 0.0, 1.0\n0.0, 1.5, 1.0\n",
-        "x y z\n1,0\t0,0\t1,0\n0,0\t1,5\t1,0\n",
+        ("2\n1 0 1\n0 1.5e0 1\n", UNITS, (), None),
+        ("1 0 1\n0 1.5 1", UNITS, (), None),
+        ("# x y z\n\n1, 0, 1  # first\r\n0;1.5;1\n", UNITS, (), None),
+        ("\ufeff1 0 1\n0 1.5 1\n", UNITS, (), None),
+        ("1,0 0,0 1,0\n0,0 1,5 1,0\n", UNITS, (), None),
+        ("1,0; 0,0; 1,0\n0,0; 1,5; 1,0\n", UNITS, (), None),
+        ("1.0, 0.0, 1.0\n0.0, 1.5, 1.0\n", UNITS, (), None),
+        ("x y z\n1,0\t0,0\t1,0\n0,0\t1,5\t1,0\n", UNITS, (), None),
+        ("1 0 1 2\n0 1.5 1 0.5\n", UNITS, (), [[2], [0.5]]),
+        ("1 0 1 2 3 4\n0 1.5 1 1 1 1\n", UNITS, (), [[2, 3, 4], [1, 1, 1]]),
+        ("a b.png 1 0 1 2\nc.png 0 1.5 1 0.5\n", UNITS, ("a b.png", "c.png"), [[2], [0.5]]),
+        ("1 0 1 2 a.png\n0 1.5 1 0.5 b.png\n", UNITS, ("a.png", "b.png"), [[2], [0.5]]),
+        ("coin 7 1 0 1\ncoin 8 0 1.5 1\n", UNITS, ("coin 7", "coin 8"), None),
+        ("azimuth_deg elevation_deg\n0 60\n90 30\n", ANGLES, (), None),
+        ("# Azimuth_deg;Elevation_deg\n360,0;60,0\n-270,0;30,0\n", ANGLES, (), None),
+        (
+            "file, azimuth_deg, elevation_deg\na 1.png, 0, 60\nb.png, 90, 30",
+            ANGLES,
+            ("a 1.png", "b.png"),
+            None,
+        ),
+        ("azimuth_deg elevation_deg\n0 60 2\n90 30 1\n", ANGLES, (), [[2], [1]]),
     ],
 )
-def test_light_lists_of_several_forms_are_read(text, tmp_path):
+def test_light_lists_of_several_forms_are_read(text, lights, names, bright, tmp_path):
     (tmp_path / "l.txt").write_bytes(text.encode())
-    np.testing.assert_array_equal(
-        read_light_list(tmp_path / "l.txt").lights, [[1, 0, 1], [0, 1.5, 1]]
-    )
+    table = read_light_list(tmp_path / "l.txt")
+    assert_allclose(table.lights, lights, rtol=0, atol=0 if lights is UNITS else 1e-12)
+    assert (table.places, table.names) == (False, names)
+    assert (None if table.intensities is None else table.intensities.tolist()) == bright
+
+
+BAD_BRIGHTNESS = r"brightness|three finite numbers"
 
 
 @pytest.mark.parametrize(
@@ -144,52 +163,24 @@ def test_light_lists_of_several_forms_are_read(text, tmp_path):
         (b"1 0 one\n", "line 1"),
         (b"1 0 1\n7\n", "line 2"),
         (b"\xff\xfe\0", "not a text file"),
+        (b"azimuth_deg elevation_deg\n60 120\n", "azimuth stands first"),
+        (b"azimuth_deg elevation_deg\n9 60\n60\n", "line 3: two finite"),
+        (b"0,5,0,3,0,8\n", "line 1: .*; write decimals with a point, or put spaces"),
+        (b"1 0 1 2\n0 1.5 1\n", BAD_BRIGHTNESS),
+        (b"1 0 1 0\n0 1.5 1 1\n", BAD_BRIGHTNESS),
+        (b"1 0 1 2\n0 1.5 1 1 1 1\n", BAD_BRIGHTNESS),
+        (b"1 0 1 2 3\n", BAD_BRIGHTNESS),
     ],
 )
 def test_wrong_light_lists_are_refused(text, words, tmp_path):
     (tmp_path / "l.txt").write_bytes(text)
-    with pytest.raises(BadInput, match=words):
-        read_light_list(tmp_path / "l.txt")
-
-
-@pytest.mark.parametrize(
-    ("text", "names", "bright"),
-    [
-        ("azimuth_deg elevation_deg\n0 60\n90 30\n", (), None),
-        ("# Azimuth_deg;Elevation_deg\n360,0;60,0\n-270,0;30,0\n", (), None),
-        (
-            "file, azimuth_deg, elevation_deg\na 1.png, 0, 60\nb.png, 90, 30",
-            ("a 1.png", "b.png"),
-            None,
-        ),
-        ("azimuth_deg elevation_deg\n0 60 2\n90 30 1\n", (), [[2.0], [1.0]]),
-    ],
-)
-def test_lights_by_azimuth_and_elevation_are_read(text, names, bright, tmp_path):
-    (tmp_path / "l.txt").write_text(text)
-    listed = read_light_list(tmp_path / "l.txt")
-    across = np.sqrt(0.75)
-    np.testing.assert_allclose(listed.lights, [[0.5, 0, across], [0, across, 0.5]], atol=1e-12)
-    assert (listed.places, listed.names) == (False, names)
-    assert (None if listed.intensities is None else listed.intensities.tolist()) == bright
-
-
-def test_impossible_angles_are_refused(tmp_path):
-    for text, words in (("60 120\n", "azimuth stands first"), ("9 60\n60\n", "line 3: two finite")):
-        (tmp_path / "l.txt").write_text(f"azimuth_deg elevation_deg\n{text}")
-        with pytest.raises(BadInput, match=words):
-            read_light_list(tmp_path / "l.txt")
-
-
-def test_ambiguous_commas_are_refused(tmp_path):
-    (tmp_path / "l.txt").write_text("0,5,0,3,0,8\n")
-    with pytest.raises(BadInput, match=r"line 1: .*; write decimals with a point, or put spaces"):
+    with bad_input(words):
         read_light_list(tmp_path / "l.txt")
 
 
 def test_photographs_without_a_list_are_refused_with_what_to_give(unmasked):
     words = "give `lights`, a list of directions or places, or a rig file: a ball in the pictures"
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         import_photographs(unmasked)
 
 
@@ -200,7 +191,7 @@ def test_lp_files_find_photographs_by_their_names_alone(unmasked):
     (unmasked / "coin.lp").write_text("\r\n".join(["4", *rows]))
     table = read_light_list(unmasked / "coin.lp")
     assert table.names == ("3.PNG", "0.png", "1.jpg", "2.png")
-    np.testing.assert_array_equal(table.lights, LIGHTS)
+    assert_array_equal(table.lights, LIGHTS)
     band = import_photographs(unmasked).capture.bands["white"]
     assert [Path(file).name for file in band.files] == ["3.png", "0.png", "1.png", "2.png"]
 
@@ -210,8 +201,8 @@ def test_places_in_mm_are_near_lights(unmasked):
     table = unmasked / "lights.txt"
     np.savetxt(table, places, header="x_mm y_mm z_mm", comments="")
     rig = import_photographs(unmasked, px_per_mm=20.0).capture.rig
-    np.testing.assert_array_equal([led.position_mm for led in rig.leds], places)
-    with pytest.raises(BadInput, match="`px_per_mm`"):
+    assert_array_equal([led.position_mm for led in rig.leds], places)
+    with bad_input("`px_per_mm`"):
         import_photographs(unmasked)
     leds = (Led("nir", position_mm=(1.0, 2.0, 90.0)), *rig.leds)
     write_rig(Rig(Camera(12.5, (25, 35)), leds), unmasked / "rig.json")
@@ -238,14 +229,14 @@ def test_the_encoding_that_a_png_states_is_used(tmp_path):
         encoding_of([tmp_path / "s.png", tmp_path / "n.png"])
 
 
-def ball_normals(size: int = 120) -> np.ndarray:
+def ball_normals(size=120):
     """Of a ball; their z is 0 beside it."""
     rows, columns = np.mgrid[:size, :size]
     x, y = (columns - size / 2 + 0.5) / (0.45 * size), (size / 2 - 0.5 - rows) / (0.45 * size)
     return np.stack([x, y, np.sqrt(np.clip(1.0 - x * x - y * y, 0, 1))], axis=-1)
 
 
-def ball_photographs(folder: Path, code: Any, count: int = 8, bright: Any = 1.0) -> Any:
+def ball_photographs(folder, code, count=8, bright=1.0):
     """A matt ball under `count` lights as `bright` as is given, stored through `code`; its
     directions."""
     normals = ball_normals()
@@ -260,32 +251,28 @@ def ball_photographs(folder: Path, code: Any, count: int = 8, bright: Any = 1.0)
     return lights
 
 
-def judged_encoding(folder: Path) -> str:
+def judged_encoding(folder):
     """As which photographs of a folder are read."""
     write_image(folder / "mask.png", np.uint8(255) * (ball_normals()[..., 2] > 0.3))
     photographs = located(splitknit.read_photographs(folder, px_per_mm=10.0))
     return photographs.observation.encoding
 
 
-@pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
-def test_the_encoding_of_8_bit_files_is_judged_by_the_shading(tmp_path, code, encoding):
-    ball_photographs(tmp_path, code)
-    imported = import_photographs(tmp_path)
-    assert imported.notes[0].code == "assumed-encoding" and "srgb is assumed" in str(
-        imported.notes[0]
-    )
-    assert judged_encoding(tmp_path) == encoding
+UNEQUAL = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
 
 
-@pytest.mark.parametrize("listed", [True, False])
+@pytest.mark.parametrize(("bright", "listed"), [(1.0, False), (UNEQUAL, False), (UNEQUAL, True)])
 @pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
-def test_unequal_lights_do_not_change_the_judged_encoding(tmp_path, code, encoding, *, listed):
+def test_the_encoding_of_8_bit_files_is_judged_by_the_shading(
+    tmp_path, code, encoding, bright, listed
+):
     """Unequal lights looked like a wrong curve: sRGB was taken for linear, and normals came out 16
     deg wrong."""
-    bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
     lights = ball_photographs(tmp_path, code, bright=bright)
     if listed:
         np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright]))
+    (note,) = import_photographs(tmp_path).notes
+    assert note.code == "assumed-encoding" and "srgb is assumed" in str(note)
     assert judged_encoding(tmp_path) == encoding
 
 
@@ -300,7 +287,7 @@ def test_a_wrongly_stated_encoding_spoils_a_matt_thing(tmp_path, code, right, wr
     codes = {finding.code for finding in splitknit.reconstruct(sound).findings}
     assert "other-encoding" not in codes
     spoilt = splitknit.read_photographs(tmp_path, px_per_mm=10.0, encoding=wrong)
-    with pytest.raises(BadInput, match=f"shade as {right}, not as {wrong}"):
+    with bad_input(f"shade as {right}, not as {wrong}"):
         splitknit.reconstruct(spoilt)
 
 
@@ -320,7 +307,7 @@ def test_lights_that_were_said_to_be_equal_are_doubted_where_they_are_not(tmp_pa
 
 
 def test_brightness_is_estimated_or_equal_as_chosen(tmp_path):
-    bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
+    bright = UNEQUAL
     lights = ball_photographs(tmp_path, np.asarray, bright=bright)
     np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright[::-1]]))  # a wrong list
     for way in ("estimate", "equal"):
@@ -334,7 +321,7 @@ def test_brightness_is_estimated_or_equal_as_chosen(tmp_path):
 
 
 def test_the_brightness_of_four_lights_cannot_be_estimated(unmasked):
-    with pytest.raises(BadInput, match="five lights or more"):
+    with bad_input("five lights or more"):
         import_photographs(unmasked, LIGHTS, brightness="estimate")
 
 
@@ -355,51 +342,23 @@ def test_large_stacks_are_processed_in_strips_from_disk(tmp_path, monkeypatch):
         assert list((tmp_path / "scratch").iterdir()) == []
         results.append([splitknit.reconstruct(capture, preset) for preset in ("metric", "ea")])
     for whole, strips in zip(*results, strict=True):
-        np.testing.assert_array_equal(whole.mask, strips.mask)
-        np.testing.assert_allclose(whole.normals_measured, strips.normals_measured, atol=1e-5)
-        np.testing.assert_allclose(whole.height_mm, strips.height_mm, atol=1e-4)
+        assert_array_equal(whole.mask, strips.mask)
+        assert_allclose(whole.normals_measured, strips.normals_measured, atol=1e-5)
+        assert_allclose(whole.height_mm, strips.height_mm, atol=1e-4)
 
 
 def test_a_link_to_itself_is_refused(plain):
     (plain / "3.png").unlink()
     (plain / "3.png").symlink_to("3.png")
-    with pytest.raises(BadInput, match="has 4 lights"):
+    with bad_input("has 4 lights"):
         convert(plain)
     (plain / "lights.txt").write_text(
         "\n".join(f"{k}.png {x} {y} {z}" for k, (x, y, z) in enumerate(LIGHTS))
     )
-    with pytest.raises(BadInput, match=r"3\.png"):
+    with bad_input(r"3\.png"):
         import_photographs(plain, px_per_mm=12.5)
-    with pytest.raises(BadInput, match=r"3\.png"):
+    with bad_input(r"3\.png"):
         import_photographs(plain, None, 12.5, mask=plain / "3.png")
-
-
-@pytest.mark.parametrize(
-    ("text", "names", "bright"),
-    [
-        ("1 0 1 2\n0 1.5 1 0.5\n", (), [[2], [0.5]]),
-        ("1 0 1 2 3 4\n0 1.5 1 1 1 1\n", (), [[2, 3, 4], [1, 1, 1]]),
-        ("a b.png 1 0 1 2\nc.png 0 1.5 1 0.5\n", ("a b.png", "c.png"), [[2], [0.5]]),
-        ("1 0 1 2 a.png\n0 1.5 1 0.5 b.png\n", ("a.png", "b.png"), [[2], [0.5]]),
-        ("coin 7 1 0 1\ncoin 8 0 1.5 1\n", ("coin 7", "coin 8"), None),
-    ],
-)
-def test_light_lists_may_state_brightness_and_names(text, names, bright, tmp_path):
-    (tmp_path / "l.txt").write_text(text)
-    table = read_light_list(tmp_path / "l.txt")
-    np.testing.assert_array_equal(table.lights, [[1, 0, 1], [0, 1.5, 1]])
-    assert table.names == names
-    assert (None if table.intensities is None else table.intensities.tolist()) == bright
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["1 0 1 2\n0 1.5 1\n", "1 0 1 0\n0 1.5 1 1\n", "1 0 1 2\n0 1.5 1 1 1 1\n", "1 0 1 2 3\n"],
-)
-def test_an_invalid_brightness_is_refused(text, tmp_path):
-    (tmp_path / "l.txt").write_text(text)
-    with pytest.raises(BadInput, match=r"brightness|three finite numbers"):
-        read_light_list(tmp_path / "l.txt")
 
 
 @pytest.mark.parametrize("columns", [1, 3])
@@ -415,7 +374,7 @@ def test_an_intensities_file_beside_the_list_is_used(columns, unmasked):
     assert not imported.capture.rig.intensities_assumed
     assert not any("light_intensities" in str(note) for note in imported.notes)
     (unmasked / "light_intensities.txt").write_text("1\n2\n")
-    with pytest.raises(BadInput, match="has 2 lines, but there are"):
+    with bad_input("has 2 lines, but there are"):
         import_photographs(unmasked)
 
 
@@ -424,9 +383,9 @@ def test_one_photograph_under_three_coloured_lights_is_three_images(tmp_path):
     write_image(tmp_path / "frame.png", image)
     lights = np.array([[0.5, 0, 1], [-0.3, 0.4, 1], [-0.3, -0.4, 1]])
     capture = import_photographs(tmp_path, lights).capture
-    np.testing.assert_array_equal(capture.bands["white"].pixels[..., 0], np.moveaxis(image, 2, 0))
+    assert_array_equal(capture.bands["white"].pixels[..., 0], np.moveaxis(image, 2, 0))
     write_image(tmp_path / "frame.png", image[..., 0])
-    with pytest.raises(BadInput, match=r"frame\.png is grey"):
+    with bad_input(r"frame\.png is grey"):
         import_photographs(tmp_path, lights)
 
 
@@ -437,15 +396,15 @@ def test_a_mask_is_read_from_transparency_or_covers_all(tmp_path):
     alpha = np.dstack([picture, 255 * inside.astype(np.uint8)])
     Image.fromarray(alpha).save(tmp_path / "mask.png")
     imported = import_photographs(tmp_path, px_per_mm=5.0)
-    np.testing.assert_array_equal(imported.capture.mask, inside)
+    assert_array_equal(imported.capture.mask, inside)
     assert any("not transparent" in str(note) for note in imported.notes)
     file = tmp_path / "mask.tif"
     Image.fromarray(alpha).save(file)
     known = {"px_per_mm": 5.0, "encoding": "linear"}
     imported = import_photographs(tmp_path, mask=file, **known)
-    np.testing.assert_array_equal(imported.capture.mask, inside)
+    assert_array_equal(imported.capture.mask, inside)
     Image.fromarray(picture).save(tmp_path / "mask.png")
-    with pytest.raises(BadInput, match="is a picture and no mask"):
+    with bad_input("is a picture and no mask"):
         import_photographs(tmp_path, px_per_mm=5.0)
     assert import_photographs(tmp_path, mask="all", **known).capture.mask.all()
 
@@ -457,7 +416,7 @@ def test_the_transparency_of_photographs_is_their_mask(tmp_path):
         image = np.dstack([np.asarray(Image.open(file)), np.where(inside, 255, 0)])
         Image.fromarray(image.astype(np.uint8), "LA").save(file)
     imported = import_photographs(tmp_path, None, 0.002, encoding="linear")
-    np.testing.assert_array_equal(imported.capture.mask, inside)
+    assert_array_equal(imported.capture.mask, inside)
     result = splitknit.reconstruct(imported.capture)
     assert any("longer side of the pictures is 60000 mm" in warning for warning in result.warnings)
 
@@ -468,12 +427,10 @@ def test_a_written_lp_file_names_the_photographs_and_holds_directions_only(tmp_p
     assert (tmp_path / "a.lp").read_text().splitlines()[0] == "2"
     table = read_light_list(tmp_path / "a.lp")
     assert table.names == ("one.jpg", "two.jpg")
-    np.testing.assert_allclose(table.lights, [[1 / 3, 2 / 3, 2 / 3], [0, 0, 1]], atol=1e-6)
+    assert_allclose(table.lights, [[1 / 3, 2 / 3, 2 / 3], [0, 0, 1]], atol=1e-6)
     place = Led("white", position_mm=(10.0, 20.0, 20.0))
     write_light_list([place], tmp_path / "b.lp", ["one.jpg"])
-    np.testing.assert_allclose(
-        read_light_list(tmp_path / "b.lp").lights, [[1 / 3, 2 / 3, 2 / 3]], atol=1e-6
-    )
+    assert_allclose(read_light_list(tmp_path / "b.lp").lights, [[1 / 3, 2 / 3, 2 / 3]], atol=1e-6)
 
 
 @pytest.mark.parametrize("near", [True, False])
@@ -490,7 +447,7 @@ def test_a_dome_file_of_relight_holds_places_or_directions(near, tmp_path):
     table = read_light_list(tmp_path / "a.dome")
     assert table.places == near and table.intensities is None
     shift = [1.5, -0.5, 0.0] if near else [0, 0, 0]  # of the middle against the camera's foot
-    np.testing.assert_allclose(table.lights, lights + shift, atol=1e-6)
+    assert_allclose(table.lights, lights + shift, atol=1e-6)
     assert json.loads((tmp_path / "a.dome").read_text())["imageWidth"] == 32.0
 
 
@@ -515,7 +472,7 @@ def test_a_dome_file_states_which_lights_hold_and_how_bright_they_are(tmp_path):
     ]
     for change, words in wrong:
         file.write_text(json.dumps({**document, **change}))
-        with pytest.raises(BadInput, match=words):
+        with bad_input(words):
             read_light_list(file)
 
 
@@ -529,18 +486,18 @@ def test_a_list_of_places_may_state_the_camera(unmasked):
     rows, columns = rig.camera.image_size
     assert rig.camera.model == "perspective" and rig.camera.height_mm == 80.0
     middle = np.array([[(columns - 1) / 2, (rows - 1) / 2]])
-    np.testing.assert_allclose(plane_points(rig.camera, middle), [[-1.0, 2.0]], atol=1e-9)
-    np.testing.assert_allclose(rig.leds[0].position_mm, 90 * LIGHTS[0] - [1, -2, 0])
+    assert_allclose(plane_points(rig.camera, middle), [[-1.0, 2.0]], atol=1e-9)
+    assert_allclose(rig.leds[0].position_mm, 90 * LIGHTS[0] - [1, -2, 0])
     names = [f"{k}.png" for k in range(len(rig.leds))]
     write_light_list(rig.leds, folder / "again.txt", names, camera=rig.camera)
     again = read_light_list(folder / "again.txt")
     assert again.camera_mm == (1.0, -2.0, 80.0)
-    np.testing.assert_allclose(again.lights, 90 * LIGHTS, atol=1e-5)
+    assert_allclose(again.lights, 90 * LIGHTS, atol=1e-5)
     (folder / "lights.txt").write_text("# camera_mm 1.0 80.0\n# x_mm y_mm z_mm\n" + places)
-    with pytest.raises(BadInput, match="camera_mm needs three numbers"):
+    with bad_input("camera_mm needs three numbers"):
         read_light_list(folder / "lights.txt")
     (folder / "lights.txt").write_text("# camera_mm 1 2 80\n0 0 1\n1 0 1\n0 1 1\n")
-    with pytest.raises(BadInput, match="its lights are directions"):
+    with bad_input("its lights are directions"):
         read_light_list(folder / "lights.txt")
 
 
@@ -556,7 +513,7 @@ def test_rows_too_long_for_directions_are_refused_without_a_first_line(tmp_path)
     places = 100.0 * LIGHTS
     file = tmp_path / "lights.txt"
     np.savetxt(file, places)
-    with pytest.raises(BadInput, match=r"too long for directions.*x_mm y_mm z_mm"):
+    with bad_input(r"too long for directions.*x_mm y_mm z_mm"):
         read_light_list(file)
     for title, near in (("x_mm y_mm z_mm", True), ("x y z", False)):
         np.savetxt(file, places, header=title)

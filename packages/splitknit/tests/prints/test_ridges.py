@@ -1,20 +1,15 @@
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.finger.ridges import relief_print
 from splitknit.imaging.geometry import rotation_about
 
 PX_PER_MM = 1000 / 25.4  # twice the print's resolution
 
 
-def _stripes(
-    angle_deg: float, size: tuple[int, int] = (300, 400), period_mm: float = 0.45
-) -> NDArray[np.float32]:
+def _stripes(angle_deg, size=(300, 400), period_mm=0.45):
     """Ridges of 30 um whose crests run at an angle counter-clockwise from x, on the pixel grid."""
     rows, columns = size
     x = (np.arange(columns) - (columns - 1) / 2)[None, :] / PX_PER_MM
@@ -25,7 +20,7 @@ def _stripes(
     )
 
 
-def _direction_deg(image: NDArray[np.uint8]) -> float:
+def _direction_deg(image):
     """Direction of stripes, counter-clockwise from x, in [0, 180)."""
     values = image[20:-20, 20:-20].astype(np.float32)
     across = cv2.Sobel(values, cv2.CV_32F, 1, 0)
@@ -34,12 +29,7 @@ def _direction_deg(image: NDArray[np.uint8]) -> float:
     return float(np.rad2deg(gradient) + 90.0) % 180.0
 
 
-def _print(
-    relief: NDArray[np.float32],
-    mask: NDArray[np.bool_] | None = None,
-    input_from_upright: NDArray[np.float64] | None = None,
-    **options: int,
-) -> NDArray[np.uint8]:
+def _print(relief, mask=None, input_from_upright=None, **options):
     """Print of a relief that lies upright and fills the image unless stated otherwise."""
     mask = np.ones(relief.shape, bool) if mask is None else mask
     upright = np.eye(3) if input_from_upright is None else input_from_upright
@@ -120,7 +110,7 @@ def test_flat_relief_gives_white_paper():
 
 def test_bad_input_is_refused():
     relief = np.zeros((60, 80), np.float32)
-    with pytest.raises(BadInput, match="mask is empty"):
+    with bad_input("mask is empty"):
         _print(relief, np.zeros((60, 80), bool))
-    with pytest.raises(BadInput, match="px_per_mm"):
+    with bad_input("px_per_mm"):
         relief_print(relief, np.ones((60, 80), bool), 0.0, np.eye(3), (60, 80))

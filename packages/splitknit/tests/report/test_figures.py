@@ -1,22 +1,19 @@
-from __future__ import annotations
-
 import base64
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from handmade import capture_of, finger
 from splitknit.io.pictures import BLUE, ORANGE, upright_frame
 from splitknit.report import figures
-from splitknit.report.photos import Picture, capture_pictures
+from splitknit.report.photos import capture_pictures
 
 _, NORMALS, RELIEF, *_ = figures.FIELD_PICTURES
 
 
-def _decoded(picture: Picture) -> NDArray[np.uint8]:
+def _decoded(picture):
     data = base64.b64decode(picture.uri.partition(",")[2])
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
 

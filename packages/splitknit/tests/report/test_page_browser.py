@@ -1,12 +1,9 @@
 """The report in a real Chromium, offline: its surface turns, is lit, and is cut between two
 points."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import time
-from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -22,7 +19,7 @@ pytestmark = [
 
 
 @pytest.fixture
-def page() -> Iterator[Page]:
+def page():
     page = Page(1000, 1400)
     yield page
     page.close()

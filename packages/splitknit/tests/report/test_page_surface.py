@@ -1,29 +1,24 @@
 """Sections, and the surface in a page, are those of the finger: a half ellipsoid with a known
 relief."""
 
-from __future__ import annotations
-
 import base64
 import json
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from handmade import finger
-from splitknit.errors import BadInput
-from splitknit.reconstruction import Reconstruction
+from refusals import bad_input
 from splitknit.report import surface as surface_module
-from splitknit.report.surface import ResultSurface, scene_of, section, surface_in
+from splitknit.report.surface import scene_of, section, surface_in
 
 
-def perspective(result: Reconstruction) -> Reconstruction:
+def perspective(result):
     """The same finger as a camera 140 mm above sees it."""
     height, width = result.mask.shape
     x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, :] * (
@@ -36,12 +31,12 @@ def perspective(result: Reconstruction) -> Reconstruction:
 
 
 @pytest.fixture(scope="module")
-def surfaces() -> dict[str, ResultSurface]:
+def surfaces():
     result, _ = finger()
     return {"parallel": surface_in(result), "perspective": surface_in(perspective(result))}
 
 
-def height_at(x: float, y: float) -> float:
+def height_at(x, y):
     along = (y - 1.0) / 8.5 if y > 1.0 else 0.0
     shape = 5.5 * np.sqrt(1.0 - (x / 7.5) ** 2 - along**2)
     radius, turn = np.hypot(x - 0.6, y - 2.0), np.arctan2(y - 2.0, x - 0.6)
@@ -84,19 +79,19 @@ def test_a_section_over_the_edge_has_no_height_difference(surfaces):
 
 @pytest.mark.parametrize("end", [(0.0, 0.0), (float("nan"), 0.0), (1e6, 0.0)])
 def test_a_section_without_two_ends_on_the_surface_is_refused(surfaces, end):
-    with pytest.raises(BadInput):
+    with bad_input():
         section(surfaces["parallel"], (0.0, 0.0), end)
-    with pytest.raises(BadInput, match="no surface"):
+    with bad_input("no surface"):
         section(surfaces["parallel"], (20.0, 0.0), (30.0, 0.0))
 
 
 def test_an_empty_result_is_refused():
     result, _ = finger()
-    with pytest.raises(BadInput, match="no heights"):
+    with bad_input("no heights"):
         surface_in(replace(result, mask=np.zeros_like(result.mask)))
 
 
-def decoded(field: dict[str, Any]) -> NDArray[np.float64]:
+def decoded(field):
     """Values of a field of a page, as its script computes them."""
     data = np.frombuffer(base64.b64decode(field["png"]), np.uint8)
     blue, green, red = np.moveaxis(cv2.imdecode(data, cv2.IMREAD_COLOR).astype(float), -1, 0)

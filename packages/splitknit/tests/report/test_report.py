@@ -20,14 +20,14 @@ class _Page(html.parser.HTMLParser):
 
     VOID = frozenset({"meta", "img", "br", "rect", "line", "polyline", "link", "input"})
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.addresses: list[str] = []
         self.open: list[str] = []
         self.words: list[str] = []
         self.tags: set[str] = set()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.tags.add(tag)
         self.addresses += [
             value or "" for name, value in attrs if name in ("src", "href", "data", "action")
@@ -35,15 +35,15 @@ class _Page(html.parser.HTMLParser):
         if tag not in self.VOID:
             self.open.append(tag)
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         if tag not in self.VOID:
             assert self.open.pop() == tag
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         self.words.append(data)
 
 
-def _page(text: str) -> _Page:
+def _page(text):
     page = _Page()
     page.feed(text)
     assert page.open == []

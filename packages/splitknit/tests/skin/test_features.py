@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skin_scene import make_scene
 from splitknit.imaging.geometry import height_gradients
@@ -92,7 +93,7 @@ def test_specular_reflection_raises_the_azimuth_waves(scene, matt):
 
 def test_exposure_changes_no_feature_and_pigment_the_tint_alone(scene):
     plain = fields_of(scene)
-    np.testing.assert_allclose(fields_of(scene, scene.white.stack * 3.0), plain, atol=2e-4)
+    assert_allclose(fields_of(scene, scene.white.stack * 3.0), plain, atol=2e-4)
     browner = scene.white.stack * np.array([1.0, 0.8, 0.5], np.float32)[:, None, None, None]
     changed = np.abs(fields_of(scene, browner) - plain)[:, scene.inner].max(axis=1)
     tints = [25, 26]
@@ -120,16 +121,16 @@ def test_a_mirrored_finger_has_mirrored_features(scene):
         signs[[9 + 4 * c + 1, 9 + 4 * c + 2]] = -1
     inner = scene.inner & scene.inner[:, ::-1]
     expected = fields_of(scene) * signs[:, None, None].astype(np.float32)
-    np.testing.assert_allclose(mirrored[:, inner], expected[:, inner], atol=0.02)
+    assert_allclose(mirrored[:, inner], expected[:, inner], atol=0.02)
 
 
 def test_azimuth_waves_are_sines_and_cosines_of_the_azimuth(scene):
     waves = azimuth_waves(scene.white.rig, 3)
     azimuth = 2 * np.pi * np.arange(7) / 7
     assert waves.shape == (7, 7)
-    np.testing.assert_allclose(waves[:, 0], 1)
-    np.testing.assert_allclose(waves[:, 4], np.sin(2 * azimuth), atol=1e-6)
-    np.testing.assert_allclose(waves[:, 5], np.cos(3 * azimuth), atol=1e-6)
+    assert_allclose(waves[:, 0], 1)
+    assert_allclose(waves[:, 4], np.sin(2 * azimuth), atol=1e-6)
+    assert_allclose(waves[:, 5], np.cos(3 * azimuth), atol=1e-6)
 
 
 def test_networks_need_colour_lights_all_around_and_fine_pixels(scene):
@@ -165,15 +166,13 @@ def test_the_relief_is_the_network_output_without_its_offset(scene):
     drawn_relief = relief_by_network(
         features(scene.white, grid, placed(scene), light), grid, placed(scene), network
     )
-    np.testing.assert_array_equal(seen[0], fields_of(scene))
+    assert_array_equal(seen[0], fields_of(scene))
     inner = scene.inner
-    np.testing.assert_allclose(drawn_relief.relief_mm[inner], true[inner], atol=0.003)
+    assert_allclose(drawn_relief.relief_mm[inner], true[inner], atol=0.003)
     assert not drawn_relief.relief_mm[~grid.mask].any()
     stated = drawn_relief.deviation_mm / (0.5 * RELIEF_MM)
     slant = slant_of(placed(scene), grid.pitch_mm)
-    np.testing.assert_allclose(
-        stated[inner], np.interp(slant[inner], SLANT_DEG, SLANT_ERROR), rtol=0.01
-    )
+    assert_allclose(stated[inner], np.interp(slant[inner], SLANT_DEG, SLANT_ERROR), rtol=0.01)
     assert stated[inner & (slant < 10)].max() < 0.95 and np.ptp(slant[inner]) > 10
 
 
@@ -221,4 +220,4 @@ def test_the_stated_deviation_has_the_gain_of_the_ridges_alone(scene):
     stated = stated_deviation(ridges + 0.3, deviation, surface, grid, 0.5)
     again = ridges - grid.smooth(ridges, grid.mask, RIDGE_BAND_MM)
     expected = np.hypot(own * 0.004, 0.5 * again)
-    np.testing.assert_allclose(stated[scene.inner], expected[scene.inner], atol=2e-5)
+    assert_allclose(stated[scene.inner], expected[scene.inner], atol=2e-5)

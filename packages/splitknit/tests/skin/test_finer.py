@@ -1,8 +1,6 @@
 """A grid of half the pitch: it looks at the same places, and a coarse camera's relief is as good as
 a fine one's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from splitknit.skin.images import coarser, finer_grid, finer_images
 
 @pytest.mark.parametrize("model", ["orthographic", "perspective"])
 def test_the_finer_grid_equals_that_of_a_camera_with_half_the_pitch(model):
-    def grid(px_per_mm: float, shape: tuple[int, int]) -> Grid:
+    def grid(px_per_mm, shape):
         matrix = None
         if model == "perspective":
             focal = px_per_mm * 140.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from splitknit.skin.grid import Grid, coarsen, refine, smooth_step
 
@@ -28,7 +29,7 @@ def test_the_inverse_transform_restores_the_field(extend):
     grid = full(cut=(True, False, True, True))
     field = noise((2, 3, 50, 63))
     back = grid.inverse(grid.forward(field, extend))
-    np.testing.assert_allclose(back, field, atol=1e-5)
+    assert_allclose(back, field, atol=1e-5)
     assert back.dtype == np.float32
     assert grid.forward(field).dtype == np.complex64
 
@@ -42,8 +43,8 @@ def test_frequencies_differentiate_with_y_up(turn_deg):
     bell = np.exp(-radius2 / 0.8).astype(np.float32)
     wx, wy, omega = grid.omega
     slope = grid.inverse(1j * (ux * wx + uy * wy) * grid.forward(bell))
-    np.testing.assert_allclose(slope, -2 * (ux * x + uy * y) / 0.8 * bell, atol=1e-3)
-    np.testing.assert_allclose(omega, np.sqrt(wx**2 + wy**2), rtol=1e-5)
+    assert_allclose(slope, -2 * (ux * x + uy * y) / 0.8 * bell, atol=1e-3)
+    assert_allclose(omega, np.sqrt(wx**2 + wy**2), rtol=1e-5)
 
 
 @pytest.mark.parametrize("side", range(4))
@@ -76,7 +77,7 @@ def test_radial_gain_is_sampled_at_the_length_of_the_frequency():
     grid = full()
     omega = np.linspace(0, 50, 500)
     gain = grid.radial(omega, omega**2)
-    np.testing.assert_allclose(gain, grid.omega[2] ** 2, atol=0.01)
+    assert_allclose(gain, grid.omega[2] ** 2, atol=0.01)
     assert gain.dtype == np.float32
 
 
@@ -87,9 +88,9 @@ def test_the_mean_ignores_values_outside_the_mask(sigma_mm):
     grid = grid_of(mask)
     field = np.where(mask, np.float32(3.0), np.float32(np.nan))
     mean = grid.smooth(field, mask, sigma_mm)
-    np.testing.assert_allclose(mean[mask], 3.0, rtol=1e-4)
+    assert_allclose(mean[mask], 3.0, rtol=1e-4)
     spoilt = np.where(mask, noise(mask.shape), np.float32(1e6))
-    np.testing.assert_array_equal(
+    assert_array_equal(
         grid.smooth(spoilt, mask, sigma_mm)[mask],
         grid.smooth(np.where(mask, spoilt, 0), mask, sigma_mm)[mask],
     )
@@ -127,9 +128,9 @@ def test_coarse_blocks_lie_wholly_inside_the_mask():
     assert low.mask.any()
     large = np.kron(low.mask, np.ones((4, 4), dtype=np.bool_))
     assert mask[: large.shape[0], : large.shape[1]][large].all()
-    np.testing.assert_array_equal(np.flatnonzero(low.mask[5]), np.arange(1, 15))
-    np.testing.assert_allclose(low.x_mm[:2], [grid.x_mm[:4].mean(), grid.x_mm[4:8].mean()])
-    np.testing.assert_allclose(low.y_mm[:2], [grid.y_mm[:4].mean(), grid.y_mm[4:8].mean()])
+    assert_array_equal(np.flatnonzero(low.mask[5]), np.arange(1, 15))
+    assert_allclose(low.x_mm[:2], [grid.x_mm[:4].mean(), grid.x_mm[4:8].mean()])
+    assert_allclose(low.y_mm[:2], [grid.y_mm[:4].mean(), grid.y_mm[4:8].mean()])
 
 
 def test_the_coarse_mask_keeps_the_largest_part_only():
@@ -152,10 +153,10 @@ def test_a_refined_field_interpolates_inside_and_continues_outside():
     r, c = np.mgrid[:83, :99]
     truth = 0.3 * ((c + 0.5) / factor - 0.5) - 0.1 * ((r + 0.5) / factor - 0.5)
     inner = np.hypot(r - 41.5, c - 49.5) < 24
-    np.testing.assert_allclose(large[inner], truth[inner], atol=0.02)
+    assert_allclose(large[inner], truth[inner], atol=0.02)
     assert large.max() <= field[mask].max() + 0.1
 
 
 def test_the_smooth_step_is_cubic_and_clamped():
     step = smooth_step(np.array([-1, 0, 0.25, 0.5, 1, 2], dtype=np.float32))
-    np.testing.assert_allclose(step, [0, 0, 0.15625, 0.5, 1, 1])
+    assert_allclose(step, [0, 0, 0.15625, 0.5, 1, 1])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skin_scene import ring
 from splitknit.skin.diffusion import SkinSettings, diffusion
@@ -125,12 +126,12 @@ def test_measure_gives_albedo_times_normal():
     mean = np.mean([led.intensity for led in rig.leds])
     for c in range(3):
         truth = np.moveaxis(normal, 0, -1) * BRIGHTNESS[c] * mean
-        np.testing.assert_allclose(
+        assert_allclose(
             measured.pseudo_normals[c][GRID.mask], truth[GRID.mask], rtol=0.01, atol=1e-3
         )
-    np.testing.assert_array_equal(measured.brightness, BRIGHTNESS)
+    assert_array_equal(measured.brightness, BRIGHTNESS)
     wx = GRID.omega[0][0]
-    np.testing.assert_allclose(measured.transfer[1, 0], OPTICS["green"](wx), atol=2e-3)
+    assert_allclose(measured.transfer[1, 0], OPTICS["green"](wx), atol=2e-3)
     assert not measured.trust[~GRID.mask].any()
     assert measured.trust[INNER].min() > 0.99
     assert not measured.trust[GRID.depth_mm <= 0.1].any()
@@ -272,9 +273,7 @@ def test_repeated_updates_converge():
 def test_the_fine_grid_passes_no_shape():
     fraction = high_pass(GRID)
     assert fraction[0, 0] == 0
-    np.testing.assert_allclose(
-        fraction, 1 - np.exp(-0.5 * (GRID.omega[2] * CROSSOVER_MM) ** 2), atol=1e-6
-    )
+    assert_allclose(fraction, 1 - np.exp(-0.5 * (GRID.omega[2] * CROSSOVER_MM) ** 2), atol=1e-6)
     measured, slopes, glare = synthetic((ZERO + 0.3, ZERO), (ZERO, ZERO), 0.003)
     updated = update(measured, GRID, slopes, unmixing(measured, GRID, slopes, glare), FLAT)
     assert abs(gain_of(updated[INNER], 0.3 * X[INNER])) < 0.05
@@ -298,6 +297,6 @@ def test_denoise_of_a_grid_smaller_than_the_window_states_the_noise_alone():
     ones = np.ones_like(small.omega[2])
     relief = np.random.default_rng(0).standard_normal((30, 30)).astype(np.float32)
     same, deviation = denoise(relief, small, Unmixing([ones], np.array([0.01])), 0)
-    np.testing.assert_array_equal(same, relief)
+    assert_array_equal(same, relief)
     assert deviation.shape == (30, 30)
     assert deviation.min() == deviation.max() > 0

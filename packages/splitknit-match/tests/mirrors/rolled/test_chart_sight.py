@@ -1,7 +1,5 @@
 """The chart around a finger, and how views see it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -25,28 +23,28 @@ RIGHT = Sight("right", CAMERA, Plane(np.array([20.0, 0.0, -8.0]), LEAN))
 FRONT = Sight("front", CAMERA)
 
 
-def near_camera(distortion: tuple[float, ...]) -> Camera:
+def near_camera(distortion):
     """140 mm above the finger plane."""
     return Camera(12.0, (420, 900), 140.0, "perspective", MATRIX, distortion)
 
 
-def capsule_chart(pitch: float = 0.25, half_angle_deg: float = 170.0) -> Chart:
+def capsule_chart(pitch=0.25, half_angle_deg=170.0):
     angles, lengths = _angles(half_angle_deg, A, pitch), _lengths(-14.0, 10.0, pitch)
     return Chart(np.zeros(3), np.eye(3), angles, lengths, CAP)
 
 
-def off_ellipsoid(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+def off_ellipsoid(x, y, z):
     return np.sqrt((x / A) ** 2 + (np.maximum(y, 0) / CAP) ** 2 + (z / B) ** 2) - 1
 
 
-def capsule_radius(chart: Chart) -> np.ndarray:
+def capsule_radius(chart):
     """Distance of x^2/A^2 + max(y,0)^2/CAP^2 + z^2/B^2 = 1 along the rays."""
     _, rays = chart.rays()
     fan = rays * np.where(chart.length_mm[:, None, None] > 0, 1.0, np.array([1.0, 0.0, 1.0]))
     return 1.0 / np.sqrt((fan[..., 0] / A) ** 2 + (fan[..., 1] / CAP) ** 2 + (fan[..., 2] / B) ** 2)
 
 
-def test_points_of_a_chart_are_located_where_they_lie() -> None:
+def test_points_of_a_chart_are_located_where_they_lie():
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     axes = turn * np.sign(np.linalg.det(turn))
     angles, lengths = _angles(120.0, 8.0, 0.5), _lengths(-12.0, 9.0, 0.5)
@@ -61,7 +59,7 @@ def test_points_of_a_chart_are_located_where_they_lie() -> None:
     assert np.allclose(row, np.arange(chart.shape[0])[:, None], atol=1e-3)
 
 
-def test_normals_point_outwards() -> None:
+def test_normals_point_outwards():
     chart = capsule_chart()
     points = chart.points(capsule_radius(chart))
     on_the_cap = np.where(points[..., 1:2] > 0, 1.0, np.array([1.0, 0.0, 1.0]))
@@ -70,14 +68,14 @@ def test_normals_point_outwards() -> None:
     assert np.abs(surface_normals(points) - expected)[2:-2, 2:-2].max() < 0.02
 
 
-def test_a_surface_goes_from_chart_to_chart() -> None:
+def test_a_surface_goes_from_chart_to_chart():
     coarse, fine = capsule_chart(0.5), capsule_chart(0.1, half_angle_deg=90.0)
     radius = _sampled(coarse, capsule_radius(coarse), fine)
     # the second derivative jumps where the cap begins
     assert np.abs(radius - capsule_radius(fine)).max() < 5e-3
 
 
-def test_values_beyond_the_border_are_nan_or_empty() -> None:
+def test_values_beyond_the_border_are_nan_or_empty():
     field = np.arange(12.0, dtype=np.float32).reshape(3, 4)
     x, y = np.array([[1.5, -3.0]], np.float32), np.array([[1.0, 0.0]], np.float32)
     assert sampled_at(field, x, y, outside=np.nan)[0, 0] == pytest.approx(5.5)
@@ -85,7 +83,7 @@ def test_values_beyond_the_border_are_nan_or_empty() -> None:
     assert sampled_at(field, x, y, outside=0.0)[0, 1] == 0.0
 
 
-def test_the_front_sees_the_top_and_the_mirror_the_side() -> None:
+def test_the_front_sees_the_top_and_the_mirror_the_side():
     chart = capsule_chart()
     radius = capsule_radius(chart)
     x, y = np.linspace(-6, 6, 25), np.linspace(4, -10, 29)
@@ -101,9 +99,7 @@ def test_the_front_sees_the_top_and_the_mirror_the_side() -> None:
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.15, 0.0, 0.0, 0.0, 0.0)])
-def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(
-    distortion: tuple[float, ...],
-) -> None:
+def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(distortion):
     chart, camera = capsule_chart(), near_camera(distortion)
     radius = capsule_radius(chart)
     for sight, columns in (
@@ -131,7 +127,7 @@ def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(
         assert np.allclose(sight.cosine(towards, points[met]), 1.0)
 
 
-def test_a_shade_is_read_along_the_rays_of_a_lens() -> None:
+def test_a_shade_is_read_along_the_rays_of_a_lens():
     camera = near_camera((-0.15, 0.0, 0.0, 0.0, 0.0))
     view = view_of(camera, slice(100, 300), slice(600, 880), binning=4)
     x, y = view.on_plane()

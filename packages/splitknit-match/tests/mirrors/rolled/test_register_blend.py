@@ -1,7 +1,5 @@
 """Ridges of two views brought together, and blended."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -21,26 +19,26 @@ FRONT, RIGHT = Sight("front", CAMERA), Sight("right", CAMERA, PLANE)
 LEFT = Sight("left", CAMERA, Plane(PLANE.point_mm * [-1, 1, 1], LEAN * [-1, 1, 1]))
 
 
-def ridges(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
+def ridges(shape, seed=0):
     """Noise of one ridge period (6 px), whose directions wander."""
     noise = np.random.default_rng(seed).normal(size=shape).astype(np.float32)
     return cv2.GaussianBlur(noise, (0, 0), 1.5) - cv2.GaussianBlur(noise, (0, 0), 2.5)
 
 
-def test_the_ridge_band_has_no_mean() -> None:
+def test_the_ridge_band_has_no_mean():
     relief = ridges((80, 80)) + 5.0
     band = ridges_of(relief, np.ones(relief.shape, bool), 0.1)
     assert abs(float(band.mean())) < 0.02
     assert np.corrcoef(band.ravel(), relief.ravel())[0, 1] > 0.95
 
 
-def cylinder(radius: float) -> tuple[Chart, np.ndarray]:
+def cylinder(radius):
     angles, lengths = _angles(100.0, 7.0, 0.1), _lengths(-14.0, 0.0, 0.1)
     chart = Chart(np.array([0.0, 0.0, -7.0]), np.eye(3), angles, lengths, 7.0)
     return chart, np.full(chart.shape, radius)
 
 
-def bulged(chart: Chart, more: float, texture_seed: int = 3) -> tuple[np.ndarray, ...]:
+def bulged(chart, more, texture_seed=3):
     """Ridges of front and mirror on a chart of radius 7; the finger bulges by `more` in between."""
     fine = np.linspace(0.0, np.pi / 2, 4001)
     radius = 7.0 + more * np.sin(2 * fine) ** 2
@@ -62,7 +60,7 @@ def bulged(chart: Chart, more: float, texture_seed: int = 3) -> tuple[np.ndarray
 
 @pytest.mark.slow
 @pytest.mark.parametrize("more", [0.3, -0.25])
-def test_the_search_measures_a_bulge_by_the_ridges(more: float) -> None:
+def test_the_search_measures_a_bulge_by_the_ridges(more):
     chart, radius = cylinder(7.0)
     first, second, both, truth = bulged(chart, more)
     # ridges are shifted by more than a period
@@ -78,7 +76,7 @@ def test_the_search_measures_a_bulge_by_the_ridges(more: float) -> None:
     assert not search(chart, radius, front, unrelated).radius_mm.any()
 
 
-def test_alignment_bends_only_the_side_whose_ridges_are_shifted() -> None:
+def test_alignment_bends_only_the_side_whose_ridges_are_shifted():
     chart, radius = cylinder(7.0)
     first, second, both, truth = bulged(chart, 0.04)
     # a left mirror's ridges lie where they should
@@ -98,7 +96,7 @@ def test_alignment_bends_only_the_side_whose_ridges_are_shifted() -> None:
     assert abs(turned.poses[1][1]) > 5 * abs(turned.poses[0][1])
 
 
-def test_a_side_that_no_mirror_shows_stays_as_it_is() -> None:
+def test_a_side_that_no_mirror_shows_stays_as_it_is():
     chart, radius = cylinder(7.0)
     first, second, both, _ = bulged(chart, 0.04)
     front = ViewRidges(FRONT, first, both)
@@ -108,7 +106,7 @@ def test_a_side_that_no_mirror_shows_stays_as_it_is() -> None:
     assert empty.radius_mm.max() == 0.0
 
 
-def test_views_fade_into_each_other() -> None:
+def test_views_fade_into_each_other():
     chart, radius = cylinder(7.0)
     points = chart.points(radius)
     normals = surface_normals(points)

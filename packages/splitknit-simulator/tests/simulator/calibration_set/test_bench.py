@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from bench_help import DARK_ROOM, built, drawn, grey, lambert, seen
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.flat import BoardScene, CardScene
 from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
 from splitknit_simulator.camera.sensor import SensorSettings
-
-PLACES = [(40, 30), (160, 110), (300, 200), (5, 215)]
-"""Columns and rows in a picture of 220 x 320."""
 
 
 def test_a_tilted_card_under_a_built_rig_agrees_with_its_closed_form():
@@ -56,7 +53,7 @@ def test_light_of_leds_adds_over_ambient_light(name):
 @pytest.mark.parametrize("name", list(scenes(**drawn())))
 def test_an_led_outside_the_rig_is_refused(name):
     for index in (14, -1):
-        with pytest.raises(BadInput, match=f"LED {index} is not in the rig"):
+        with bad_input(f"LED {index} is not in the rig"):
             scenes(**drawn())[name].light([index])
 
 
@@ -113,5 +110,5 @@ def test_photographs_are_light_times_exposure():
     ],
 )
 def test_bench_settings_out_of_range_are_refused(settings, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         BenchSettings(**settings)

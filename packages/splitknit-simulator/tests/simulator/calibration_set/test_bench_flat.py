@@ -7,7 +7,7 @@ import pytest
 from scipy.special import ndtr
 
 from bench_help import built, drawn, grey, parallel, seen
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_simulator.calibration_set.bench import edge_coverage, seen_at
 from splitknit_simulator.calibration_set.flat import BoardScene, PrintedBoard, board_poses
 
@@ -130,5 +130,5 @@ def test_board_poses_tilt_fill_and_stay_inside_the_picture(make):
     ],
 )
 def test_impossible_targets_are_refused(call, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         call()

@@ -16,7 +16,7 @@ from bench_help import (
     sample,
     seen,
 )
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import Led
 from splitknit_simulator.calibration_set.bench import BenchSettings
 from splitknit_simulator.calibration_set.flat import CardScene
@@ -127,5 +127,5 @@ def test_the_shading_of_the_cone_follows_its_slope():
     ],
 )
 def test_impossible_nails_are_refused(changes, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         NailScene(**drawn() | changes)

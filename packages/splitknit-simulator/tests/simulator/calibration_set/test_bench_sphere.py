@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench_help import DARK_ROOM, POINTS, built, drawn, grey, lambert, parallel, seen
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import Led
 from splitknit_simulator.calibration_set.bench import seen_at
 from splitknit_simulator.calibration_set.flat import CardScene
@@ -148,5 +148,5 @@ def test_the_shadow_is_where_the_ball_hides_the_led(make):
     ],
 )
 def test_impossible_balls_are_refused(changes, words):
-    with pytest.raises(BadInput, match=words):
+    with bad_input(words):
         SphereScene(**drawn() | changes)

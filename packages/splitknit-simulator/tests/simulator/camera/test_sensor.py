@@ -1,24 +1,22 @@
 """Noise, levels and encodings of the simulated sensor."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.observation.stored import decode_table
 from splitknit_simulator.camera.sensor import RESPONSE, SensorSettings, record
 
 
-def _grey(value: float, size: int = 128) -> np.ndarray:
+def _grey(value, size=128):
     return np.full((size, size, 3), value, dtype=np.float32)
 
 
-def _ramp(levels: int) -> np.ndarray:
+def _ramp(levels):
     return np.linspace(0, 1, levels, dtype=np.float32)[None, :, None].repeat(3, axis=2)
 
 
-def _stored(light: np.ndarray, seed: int = 0, band: str = "white", **settings) -> np.ndarray:
+def _stored(light, seed=0, band="white", **settings):
     return record(light, band, np.random.SeedSequence(seed), SensorSettings(**settings))
 
 
@@ -75,7 +73,7 @@ def test_noise_depends_on_the_seed():
 
 def test_wrong_settings_and_shapes_are_refused():
     for bad in ({"bits": 12}, {"encoding": "rec709"}, {"exposure": 0.0}, {"full_well_e": 1.0}):
-        with pytest.raises(BadInput, match=f"sensor.{next(iter(bad))}"):
+        with bad_input(f"sensor.{next(iter(bad))}"):
             SensorSettings(**bad)
-    with pytest.raises(BadInput, match=r"\(H, W, 3\)"):
+    with bad_input(r"\(H, W, 3\)"):
         record(np.zeros((4, 4), np.float32), "white", np.random.SeedSequence(0))

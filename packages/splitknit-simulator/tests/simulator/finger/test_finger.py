@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import ndimage
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit.model import Camera
 from splitknit_simulator.finger.finger import (
     FREQUENCIES,
     FingerPose,
-    SimulatedFinger,
     draw_finger,
     finger_surface,
     placement_of,
@@ -19,7 +19,6 @@ from splitknit_simulator.finger.finger import (
 from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerBody, FingerShape
 from splitknit_simulator.finger.skin_map import FlexionCrease, SkinRelief
-from splitknit_simulator.surface import SimulatedSurface
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
 POSE = FingerPose(
@@ -30,19 +29,17 @@ SMALL = Camera(10.0, (420, 290))
 
 
 @pytest.fixture(scope="module")
-def finger() -> SimulatedFinger:
+def finger():
     drawn = draw_finger(2, "left_loop", print_settings=SHORT)
     return replace(drawn, printed=drawn.master())
 
 
 @pytest.fixture(scope="module")
-def seen(finger: SimulatedFinger) -> SimulatedSurface:
+def seen(finger):
     return finger_surface(finger, POSE, CAMERA)
 
 
-def window(
-    camera: Camera, row: int, column: int, factor: int, size: int
-) -> tuple[Camera, float, float]:
+def window(camera, row, column, factor, size):
     """A camera of `factor` times the scale for `size` pixels, and where the old pixel lies in its
     frame."""
     x = (column - (camera.image_size[1] - 1) / 2) / camera.px_per_mm
@@ -60,7 +57,7 @@ def test_the_gradient_of_the_body_agrees_with_differences():
         shifted = [x, y, z]
         shifted[axis] = shifted[axis] + step
         numeric = (body.value_and_gradient(*shifted)[0] - value) / step
-        np.testing.assert_allclose(numeric, gradient[axis], atol=1e-5)
+        assert_allclose(numeric, gradient[axis], atol=1e-5)
 
 
 def test_the_chart_keeps_lengths_to_sixty_degrees():
@@ -69,7 +66,7 @@ def test_the_chart_keeps_lengths_to_sixty_degrees():
     body = FingerBody(FingerShape())
     x, y = np.meshgrid(np.linspace(-8, 8, 81), np.linspace(-12, 24.5, 180))
 
-    def at(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at(x, y):
         points = np.stack([x, y, body.top(x, y)], -1)
         return points, np.stack(
             body.distance_and_chart(*(points[..., k] for k in range(3)))[1:], -1
@@ -98,7 +95,7 @@ def test_the_chart_keeps_lengths_to_sixty_degrees():
         assert -0.035 < (stretch[cap] - 1).min() < (stretch[cap] - 1).max() < 0.16
         assert np.median(np.abs(stretch[cap] - 1)) < 0.03
     middle = np.abs(x) < 0.2
-    np.testing.assert_allclose(chart[middle & (y < 13), 1], y[middle & (y < 13)], atol=0.05)
+    assert_allclose(chart[middle & (y < 13), 1], y[middle & (y < 13)], atol=0.05)
 
 
 def test_every_pixel_lies_on_the_skin(seen, finger):
@@ -109,14 +106,14 @@ def test_every_pixel_lies_on_the_skin(seen, finger):
     assert np.array_equal(np.isfinite(seen.shape_mm), seen.mask)
     facing = seen.mask & (seen.shape_normals[..., 2] > 0.9) & (seen.relief_um > -80)
     drop = 1e3 * (seen.height_mm - seen.shape_mm)[facing] * seen.shape_normals[facing][:, 2]
-    np.testing.assert_allclose(drop, seen.relief_um[facing], atol=1.5)
+    assert_allclose(drop, seen.relief_um[facing], atol=1.5)
     rows, columns = np.nonzero(seen.mask & (seen.normals[..., 2] > 0.25))
     body = FingerBody(finger.shape)
     x, y = (columns - 289.5) / 20.0, (419.5 - rows) / 20.0
     distance, _, _ = body.distance_and_chart(
         *placement_of(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns])
     )
-    np.testing.assert_allclose(1e3 * distance, seen.relief_um[rows, columns], atol=0.02)
+    assert_allclose(1e3 * distance, seen.relief_um[rows, columns], atol=0.02)
     ridges = seen.relief_um[facing]
     assert ridges.max() < 2.0
     assert (
@@ -164,7 +161,7 @@ def test_a_finger_lies_at_its_pose(finger):
         assert not surface.mask[0].any()
     rows = np.arange(225, 300)
 
-    def lean(surface: SimulatedSurface) -> float:
+    def lean(surface):
         columns = np.arange(SMALL.image_size[1])
         middles = [columns[surface.mask[row]].mean() for row in rows]
         return float(np.arctan(np.polyfit(rows, middles, 1)[0]))
@@ -212,11 +209,11 @@ def test_drawn_fingers_stay_in_their_ranges():
 
 def test_cameras_and_poses_that_show_no_finger_are_refused(finger):
     wild = Camera(20.0, (840, 580), model="perspective", matrix=np.eye(3))
-    with pytest.raises(BadInput, match="sees nothing"):
+    with bad_input("sees nothing"):
         finger_surface(finger, FingerPose(), wild)
-    with pytest.raises(BadInput, match="height_mm"):
+    with bad_input("height_mm"):
         finger_surface(finger, FingerPose(), replace(wild, height_mm=4.0))
-    with pytest.raises(BadInput, match="sees nothing"):
+    with bad_input("sees nothing"):
         finger_surface(finger, FingerPose(x_mm=200.0), CAMERA)
-    with pytest.raises(BadInput, match="insertion_mm"):
+    with bad_input("insertion_mm"):
         FingerPose(insertion_mm=-1.0)

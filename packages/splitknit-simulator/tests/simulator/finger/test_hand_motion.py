@@ -93,14 +93,6 @@ def test_undoing_the_true_flow_sharpens_the_mean_of_shots(moved):
 
 
 @pytest.mark.slow
-def test_the_number_of_workers_does_not_change_the_pixels(moved):
-    settings = twin(amplitude_mm=0.5)
-    serial = replace(settings, render=replace(settings.render, workers=1))
-    capture, _ = simulate_capture(5, None, serial)
-    np.testing.assert_array_equal(capture.bands["white"].pixels, moved[0].bands["white"].pixels)
-
-
-@pytest.mark.slow
 def test_coloured_leds_that_share_an_exposure_show_the_finger_at_one_place():
     rig = coloured_rig(0.12, 0)
     rig = replace(rig, leds=rig.leds[:6])

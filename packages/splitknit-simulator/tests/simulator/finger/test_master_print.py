@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from refusals import bad_input
 from splitknit_simulator.finger.master_print import (
-    MasterPrint,
     MasterPrintSettings,
     ink_print,
     master_of_print,
@@ -20,11 +19,11 @@ V = 28.0 - np.arange(300) * 0.1
 
 
 @pytest.fixture(scope="module")
-def prints() -> list[MasterPrint]:
+def prints():
     return [master_print("left_loop", seed, SMALL) for seed in range(4)]
 
 
-def turn(angle: np.ndarray, row: int, column: int, reach: int) -> float:
+def turn(angle, row, column, reach):
     """How often the direction turns by pi around a square path, counter-clockwise (rows point
     down)."""
     side = np.arange(-reach, reach)
@@ -148,9 +147,9 @@ def test_the_same_seed_gives_the_same_bytes_for_any_threads():
 
 
 def test_unknown_patterns_and_coarse_pitches_are_refused():
-    with pytest.raises(BadInput, match="choose one of"):
+    with bad_input("choose one of"):
         master_print("spiral", 0)
-    with pytest.raises(BadInput, match="pitch_mm"):
+    with bad_input("pitch_mm"):
         MasterPrintSettings(pitch_mm=0.1)
 
 
@@ -186,5 +185,5 @@ def test_a_print_gives_back_the_ridges_of_its_finger(prints):
     ],
 )
 def test_images_that_are_no_print_are_refused(image, message):
-    with pytest.raises(BadInput, match=message):
+    with bad_input(message):
         master_of_print(image)
