@@ -271,7 +271,7 @@ def test_the_encoding_of_8_bit_files_is_judged_by_the_shading(
     lights = ball_photographs(tmp_path, code, bright=bright)
     if listed:
         np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright]))
-    (note,) = import_photographs(tmp_path).notes
+    note = import_photographs(tmp_path).notes[0]
     assert note.code == "assumed-encoding" and "srgb is assumed" in str(note)
     assert judged_encoding(tmp_path) == encoding
 
