@@ -345,8 +345,8 @@ def without_white(band: BandImages, part: FloatArray) -> BandImages:
     return replace(band, stack=band.stack - (band.stack[2] - part * band.stack[0]) / 2)
 
 
-_TURNED = (5, 6)
-"""Orientations (90 and 270 degrees) averaged with the upright one in the relief estimate."""
+_TURNED = (1, 3)
+"""Quarter turns averaged with the upright image in the relief estimate."""
 
 
 def relief_and_shape(
