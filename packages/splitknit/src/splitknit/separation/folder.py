@@ -108,6 +108,13 @@ _REPORTED_LEVEL = 0.1
 """Figures of the report are over pixels brighter than this fraction of the brightest."""
 
 
+def _check_agrees(
+    kinds: set[tuple[tuple[int, ...], np.dtype[Any]]], words: str, rows: int, columns: int
+) -> None:
+    """Refuse with `words` a photograph of another size than those before."""
+    require(all(shape[:2] == (rows, columns) for shape, _ in kinds), words)
+
+
 def separate_polarised_folders(
     parallel: Path, crossed: Path, out: Path, *, encoding: str | None, progress: Progress
 ) -> dict[str, Any]:
@@ -140,13 +147,13 @@ def separate_polarised_folders(
             progress("separating", k / count)
             light = []
             for folder, files in zip((parallel, crossed), series, strict=True):
-                photo = read_photo(files[k])
-                kinds.add((photo.pixels.shape, photo.pixels.dtype))
-                require(
-                    len(kinds) == 1 and photo.pixels.dtype.kind == "u",
+                words = (
                     f"{files[k]} is not of the size and kind of {series[0][0]}; all must agree, in"
-                    " integers.",
+                    " integers."
                 )
+                photo = read_photo(files[k], partial(_check_agrees, kinds, words))
+                kinds.add((photo.pixels.shape, photo.pixels.dtype))
+                require(len(kinds) == 1 and photo.pixels.dtype.kind == "u", words)
                 light.append(linear_image(photo.pixels, encoding))
                 hashes[f"{folder.name}/{files[k].name}"] = photo.sha256
             parts = separate_polarised(*light)
