@@ -56,21 +56,77 @@ def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, n
     return weights.T
 
 
-def noise_power(slopes: list[Slopes], region: FloatArray, grid: Grid) -> Array:
-    """(C,) power of the white noise in the slope fields (dz/dx, dz/dy), y up, of C channels: of the
-    finest frequencies' part across the wave vector, of which a surface has none.
+def cross_spectra(
+    slopes: list[Slopes], region: FloatArray, pitch_mm: float, bands: int = 28
+) -> tuple[Array, Array, Array]:
+    """Radially averaged cross-spectra between the slope fields (dz/dx, dz/dy), y up, of C channels.
 
-    `region` (h, w): smooth window, zero outside the reliable surface.
+    `region` (H, W): smooth window, zero outside the reliable surface; `bands`: equal on a
+    logarithmic scale from a period of 1.25 mm to the finest. Returns omega_per_mm (n,), (n, C, C)
+    of the slope along the wave vector: what a surface has, and (n, C) the power across it: a
+    surface has none, so this is noise (and glare).
     """
-    wx, wy, omega = grid.omega
-    highest = 0.95 * np.pi / grid.pitch_mm
-    finest = (omega > 0.8 * highest) & (omega < highest)
-    power = []
-    for x, y in slopes:
-        across = (wx * grid.forward(y * region) - wy * grid.forward(x * region))[finest]
-        power.append(float(np.mean(np.abs(across / omega[finest]) ** 2)))
-    require(np.isfinite(power).all(), NOT_SKIN)
-    return np.maximum(np.array(power) / float((region.astype(np.float64) ** 2).sum()), 1e-12)
+    highest = 0.95 * np.pi / pitch_mm
+    edges = np.geomspace(min(5.0, highest / 4), highest, bands + 1)
+    size = [scipy.fft.next_fast_len(n, True) for n in region.shape]
+    wy = -2 * np.pi * np.fft.fftfreq(size[0])[:, None] / pitch_mm
+    wx = 2 * np.pi * np.fft.rfftfreq(size[1])[None, :] / pitch_mm
+    omega = np.hypot(wx, wy)
+    band = np.digitize(omega, edges) - 1
+    used = (band >= 0) & (band < bands)
+    index = band[used]
+    count = np.maximum(np.bincount(index, minlength=bands), 1)
+    ux, uy = wx / np.maximum(omega, 1e-9), wy / np.maximum(omega, 1e-9)
+    longitudinal = []
+    transverse = []
+    for channel in slopes:
+        fx, fy = (
+            scipy.fft.rfft2((slope * region).astype(np.float32), size, workers=2)
+            for slope in channel
+        )
+        longitudinal.append((ux * fx + uy * fy)[used])
+        transverse.append((ux * fy - uy * fx)[used])
+    scale = count * float((region.astype(np.float64) ** 2).sum())
+
+    def mean(power: Array) -> Array:
+        return np.bincount(index, power, bands) / scale
+
+    along = [[mean((a * b.conj()).real) for b in longitudinal] for a in longitudinal]
+    across = [mean(np.abs(wave) ** 2) for wave in transverse]
+    return np.sqrt(edges[1:] * edges[:-1]), np.transpose(along), np.transpose(across)
+
+
+def fit_spectra(
+    along: Array, across: Array, transfer: Any, glare: Any
+) -> tuple[Array, Array, Array]:
+    """Powers (n,) of relief and glare (correlated with it or not) per mode, not negative, and (C,)
+    of the noise, from measured :func:`cross_spectra`.
+
+    Per band, along = S M M^T + T g g^T + X (M g^T + g M^T) + noise in least squares over S, T and
+    X, with the `transfer` M (C, n) and the `glare` g (C,); the noise is white and taken from the
+    finest bands of `across`. In a single channel they are indistinguishable: all is relief.
+    """
+    noise = np.median(across[-2:], axis=0)
+    g = np.asarray(glare, dtype=np.float64)
+    finite = all(bool(np.isfinite(values).all()) for values in (along, across, transfer, g))
+    require(finite, NOT_SKIN)
+    channels = len(g)
+    excess = along - np.diag(noise)
+    if channels == 1:
+        signal = np.maximum(excess[:, 0, 0], 0.0) / np.maximum(transfer[0] ** 2, 1e-12)
+        return signal, np.zeros_like(signal), np.maximum(noise, 1e-12)
+    first, second = np.triu_indices(channels)
+    powers = []
+    for measured, total, m in zip(excess, along, transfer.T, strict=True):
+        level = np.sqrt(np.maximum(np.diag(total), 1e-20))
+        scale = 1.0 / (level[first] * level[second])
+        mixed = m[first] * g[second] + g[first] * m[second]
+        columns = [m[first] * m[second], g[first] * g[second], mixed]
+        design = np.stack(columns, axis=1)[:, : 3 if channels > 2 else 2] * scale[:, None]
+        solution = np.linalg.lstsq(design, measured[first, second] * scale, rcond=None)[0]
+        powers.append(np.maximum(solution[:2], 0.0))
+    signal, specular = np.transpose(powers)
+    return signal, specular, np.maximum(noise, 1e-12)
 
 
 # Removing noise of a known spectrum from the relief, patch by patch.
@@ -252,27 +308,29 @@ def _diffuse_scale(predicted: list[FloatArray], measured: list[FloatArray]) -> F
     return np.asarray(covariance / np.maximum((of_predicted**2).sum(axis=0), 1e-9))
 
 
-_RIDGE_SLOPE = 10.0
-"""Root of the ridges' power, as slopes: so large that they shrink little. Chosen on: simulated
-fingers (seeds 9401 and 9402 of validation/parameters). Range: 8 to 12."""
-_GLARE_SLOPE = 0.2
-"""The same of the specular reflection's apparent slopes. Chosen on: the same fingers. Range: 0.15
-to 0.25."""
-
-
 def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatArray) -> Unmixing:
-    """Weights of the channels from the usual powers of relief and specular reflection, and that of
-    the noise in this capture."""
+    """Weights of the channels from the powers of relief, specular reflection and noise in this
+    capture."""
+    centres, along, across = cross_spectra(slopes, measured.region, grid.pitch_mm)
     omega = np.linspace(0, float(grid.omega[2].max()), 512)
     wx = np.asarray(grid.omega[0][0], dtype=np.float64)
-    transfer = np.stack([np.interp(omega, wx, t[0]) for t in measured.transfer])
-    noise = noise_power(slopes, measured.region, grid)
-    # ridges from 6 rad/mm on; slopes of ridges with narrow valleys fall off beyond their frequency
-    of_ridges = 0.4 + _RIDGE_SLOPE * smooth_step((omega - 6) / 3)
-    signal = (of_ridges * np.minimum(1, 12 / np.maximum(omega, 1e-3)) ** 2) ** 2
+    rows = [np.asarray(t[0], dtype=np.float64) for t in measured.transfer]
+    transfer = np.stack([np.interp(centres, wx, row) for row in rows])
+    signal, specular, noise = fit_spectra(along, across, transfer, glare)
+    # foreshortened ridges (slant up to 60 deg) have up to twice the frequency; a floor keeps smooth
+    # features
+    signal = np.array([signal[(centres >= w / 2) & (centres <= w * 1.0001)].max() for w in centres])
+    signal = np.maximum(signal, (0.4 * np.minimum(1, 12 / centres) ** 2) ** 2)
+    # ridges are unmixed with little shrinkage, as if they were 4 times as strong (4 to 5.6 do):
+    # steep flanks shade less than linearly, and noise is removed later
+    signal = signal * (1 + 3 * smooth_step(((centres - 7) / 4).astype(np.float32)))
+    specular = np.maximum(4 * specular, 1e-5)
+    log_omega = np.log(np.maximum(omega, 1e-3))
+    fine_signal = np.exp(np.interp(log_omega, np.log(centres), np.log(signal)))
+    fine_glare = np.exp(np.interp(log_omega, np.log(centres), np.log(specular)))
+    fine_transfer = np.stack([np.interp(omega, wx, row) for row in rows])
     colours = len(measured.channels) > 1
-    of_glare = np.full(omega.shape, colours * _GLARE_SLOPE**2)
-    weights = unmixing_weights(transfer, glare, signal, of_glare, noise)
+    weights = unmixing_weights(fine_transfer, glare, fine_signal, fine_glare * colours, noise)
     return Unmixing([grid.radial(omega, w) for w in weights], noise)
 
 
@@ -395,7 +453,7 @@ def relief_by_colour(
     relief = np.zeros(grid.shape, dtype=np.float32)
     for _ in range(rounds * 2):
         slopes, glare = _relief_residual(measured, grid, smooth_mm + relief)
-        mix = unmixing(measured, grid, slopes, glare)
+        mix = unmixing(measured, grid, _with_relief(slopes, measured, grid, relief), glare)
         relief = update(measured, grid, slopes, mix, relief)
         relief, noise = denoise(relief, grid, mix, _SEED)
     height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), 0.0))
@@ -407,3 +465,17 @@ def relief_by_colour(
         albedo=np.sqrt((measured.pseudo_normals[0] ** 2).sum(axis=-1)),
         facts={"relief_by": "colour"},
     )
+
+
+def _with_relief(
+    slopes: list[Slopes], measured: Measured, grid: Grid, relief: FloatArray
+) -> list[Slopes]:
+    """The residual slopes of the channels if there were no current relief."""
+    if not relief.any():
+        return slopes
+    spectrum = grid.forward(relief)
+    wx, wy, _ = grid.omega
+    return [
+        (x + grid.inverse(spectrum * (1j * wx) * t), y + grid.inverse(spectrum * (1j * wy) * t))
+        for (x, y), t in zip(slopes, measured.transfer, strict=True)
+    ]
