@@ -267,12 +267,29 @@ def draw_patch(task, samples, whole, rng):
             return patch
 
 
+_ORIENTATIONS = ((0, 0), (1, 0), (1, 2), (0, 2), (1, 1), (0, 1), (0, 3), (1, 3))
+"""Whether a patch is mirrored, and its quarter turns then, by the number that is drawn."""
+
+
+def mirrored(symmetry, fields):
+    """Left and right swapped: x becomes -x, an azimuth a becomes pi - a."""
+    swapped = np.array(fields[:, :, ::-1])
+    harmonics = symmetry.vectors, symmetry.second_harmonics, symmetry.third_harmonics
+    for order, pairs in enumerate(harmonics, 1):
+        for cosine, sine in pairs:
+            swapped[cosine if order % 2 else sine] *= -1
+    return swapped
+
+
 def draw_batch(task, samples, whole, iteration):
     """(batch, channels, side, side) of an iteration, in one of eight orientations each."""
     rng = np.random.default_rng(np.random.SeedSequence([0, 0xBE, iteration]))
     patches = []
     for _ in range(task.batch):
-        patch = task.symmetry.oriented(draw_patch(task, samples, whole, rng), int(rng.integers(8)))
+        patch = draw_patch(task, samples, whole, rng)
+        swapped, quarters = _ORIENTATIONS[rng.integers(8)]
+        patch = mirrored(task.symmetry, patch) if swapped else patch
+        patch = task.symmetry.turned(patch, quarters)
         if task.nir_fields and rng.random() < task.no_nir_share:
             patch = np.array(patch, dtype=np.float32)
             patch[list(task.nir_fields)] = 0.0

@@ -7,13 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from refusals import bad_input
-from splitknit.finger.mask import (
-    check_borders,
-    finger_mask,
-    finger_outline,
-    finger_region,
-    touched_borders,
-)
+from splitknit.finger.mask import check_borders, finger_mask, touched_borders
 from splitknit.finger.quality import photometric_mask
 from splitknit.finger.regions import (
     depth_inside,
@@ -55,27 +49,6 @@ def test_a_finger_of_any_tone_is_segmented(draw_finger, tone, disturbance, least
     assert mask.dtype == np.bool_
     assert overlap(mask, scene.mask) > least
     assert_array_equal(mask, fill_holes(largest_component(mask)))
-
-
-@pytest.mark.parametrize(
-    "disturbance",
-    [{}, {"shadow": "side"}, {"specks": 60}, {"yaw_deg": 40.0, "tip_at": (-8.0, 8.0)}],
-)
-def test_region_and_outline_give_the_mask_of_one_step(draw_finger, disturbance):
-    scene = draw_finger("medium", px_per_mm=20.0, **disturbance)
-    rough = finger_region(scene.rgb, scene.px_per_mm)
-    assert overlap(rough, scene.mask) > 0.97
-    outline = finger_outline(scene.rgb, rough[10::20, 10::20], scene.px_per_mm)
-    assert overlap(outline, scene.mask) > 0.98
-    assert overlap(outline, finger_mask(scene.rgb, scene.px_per_mm)) > 0.99
-
-
-def test_region_and_outline_refuse_what_one_step_refuses(draw_finger):
-    scene = draw_finger("medium", px_per_mm=20.0)
-    with bad_input("no finger was found"):
-        finger_region(np.full_like(scene.rgb, 0.03), scene.px_per_mm)
-    with bad_input("no finger was found"):
-        finger_outline(scene.rgb, np.zeros((40, 30), bool), scene.px_per_mm)
 
 
 @pytest.mark.parametrize("tone", ["medium", "very light"])
@@ -152,11 +125,10 @@ def test_an_image_without_a_finger_is_refused(kind, grey):
         finger_mask(image.mean(axis=2) if grey else image, 12.0)
 
 
-@pytest.mark.parametrize("segment", [finger_mask, finger_region])
-def test_a_finger_across_three_borders_is_refused(draw_finger, segment):
+def test_a_finger_across_three_borders_is_refused(draw_finger):
     scene = draw_finger("medium", half_width=16.0, tip_at=(0.0, 12.0))
     with bad_input(r"touches 3 borders .*move it back"):
-        segment(scene.rgb, scene.px_per_mm)
+        finger_mask(scene.rgb, scene.px_per_mm)
 
 
 def test_a_mask_may_touch_two_borders_at_most():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from refusals import bad_input
-from splitknit.mirrors.body import Body, basis
-from splitknit.mirrors.fit import MAX_SQUARE, Fit
+from splitknit.mirrors.body import Body
+from splitknit.mirrors.fit import MAX_SQUARE, Estimate, Fit
 from splitknit.mirrors.mirror import MirrorShape
 from splitknit.mirrors.outline import finger_axis, medial_line, rows_of
-from splitknit.mirrors.reflection import Plane, Touching, touching
+from splitknit.mirrors.reflection import Plane, Pose, Touching, touching
 from splitknit.model import Camera, Mirror
 
 CAMERA = Camera(10.0, (400, 300))
@@ -40,30 +40,23 @@ def section(squareness, shear):
 
 @pytest.mark.parametrize("squareness", [0.0, 0.2, MAX_SQUARE])
 @pytest.mark.parametrize("shear", [0.0, 0.1])
-def test_the_support_is_reached_by_the_farthest_point(squareness, shear):
+def test_a_line_touches_the_farthest_point(squareness, shear):
     sections, points = section(squareness, shear)
     for angle in np.linspace(0.05, 2 * np.pi, 23):
         normal = np.array([np.cos(angle), np.sin(angle)])
-        support = sections.support(normal[:1], normal[1:])[0][0]
-        assert support == pytest.approx((points @ normal).max(), abs=2e-3)
         touched = np.array(sections.contact(normal[:1], normal[1:])).ravel()
-        assert touched @ normal == pytest.approx(support, abs=1e-9)
+        assert touched @ normal == pytest.approx((points @ normal).max(), abs=2e-3)
 
 
-def test_derivatives_of_the_support_agree_with_differences():
-    normal = np.array([0.6]), np.array([0.8])
-    value, by_a, by_b = body_of(0.2, 0.05).sections(BASE).support(*normal)
-    for grown, slope in (
-        (body_of(0.2, 0.05, 8.0001), by_a),
-        (body_of(0.2, 0.05, 8.0, 6.0001), by_b),
-    ):
-        assert (grown.sections(BASE).support(*normal)[0] - value) / 1e-4 == pytest.approx(
-            slope, abs=1e-3
-        )
+def test_an_estimate_is_its_vector():
+    start = Estimate(body_of(0.2, 0.05), {"left": Pose(0.01, 0.02, 0.3), "right": Pose()})
+    again = start.at(start.vector + 0.5)
+    np.testing.assert_allclose(again.vector, start.vector + 0.5)
+    assert again.poses["left"].shift_mm == pytest.approx(0.8)
+    assert again.body.shear == pytest.approx(0.55)
 
 
-def test_splines_sum_to_one_and_the_tip_is_round():
-    assert np.allclose(basis(np.linspace(0, 1, 50), 12).sum(axis=1), 1.0)
+def test_the_tip_is_round():
     body = Body(
         np.zeros(2),
         np.array([0.0, 1.0]),

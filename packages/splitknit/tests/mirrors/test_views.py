@@ -26,23 +26,17 @@ RIG = Rig(CAMERA, (), mirrors=(LEFT, RIGHT))
 
 @pytest.fixture(autouse=True)
 def bright_pieces(monkeypatch):
-    """The largest bright piece stands for the finger; its outline is looked for in a piece of the
-    image."""
+    """The largest bright piece stands for the finger."""
 
-    def region(image, _):
+    def region(image, px_per_mm):
         _, labels, stats, _ = cv2.connectedComponentsWithStats(
             (image.sum(axis=2) > 0.9).astype(np.uint8)
         )
-        if len(stats) < 2 or stats[1:, cv2.CC_STAT_AREA].max() < 400:
+        if len(stats) < 2 or stats[1:, cv2.CC_STAT_AREA].max() < 16 * px_per_mm**2:
             raise BadInput("no finger was found.")
         return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
 
-    def outline(image, rough, px_per_mm):
-        assert rough.any() and image.shape[0] < 1000
-        return region(image, px_per_mm)
-
-    monkeypatch.setattr("splitknit.mirrors.views.finger_region", region)
-    monkeypatch.setattr("splitknit.mirrors.views.finger_outline", outline)
+    monkeypatch.setattr("splitknit.mirrors.views.finger_mask", region)
 
 
 def picture(*fingers):
@@ -110,13 +104,12 @@ def test_mirror_images_are_painted_over_and_the_finger_is_kept():
 
 
 def large(*fingers):
-    """The picture at four times the scale, one row and two columns larger: no whole number of the
-    search's blocks."""
+    """The picture at four times the scale, one row and two columns larger."""
     image = np.kron(picture(*fingers), np.ones((4, 4, 1), dtype=np.float32))
     return np.pad(image, ((0, 1), (0, 2), (0, 0)), mode="edge"), Camera(20.0, (1201, 1842))
 
 
-def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows():
+def test_views_are_found_at_any_scale():
     image, camera = large(FRONT, *BESIDE)
     views = views_in(image, replace(RIG, camera=camera), 1)
     assert views.binning == 1
@@ -124,5 +117,4 @@ def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows():
     for mask in (views.front, *views.mirrors.values()):
         assert mask.shape == image.shape[:2]
         assert np.flatnonzero(mask.any(axis=1))[0] == 400
-    # the rows that fill no block are looked at, too
     assert np.flatnonzero(views.front.any(axis=1))[-1] == 1200

@@ -30,7 +30,7 @@ from splitknit.imaging.geometry import (
     normals_from_gradients,
     sampled_at,
 )
-from splitknit.imaging.pixels import Window, pick_channel
+from splitknit.imaging.pixels import Window, bin_mean, pick_channel
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelets
 from splitknit.mirrors.body import Body
@@ -53,7 +53,6 @@ from splitknit.skin.images import (
     FACTOR,
     WORKING_PITCH_MM,
     MetricSettings,
-    coarser,
     finer_grid,
     finer_images,
     shipped_networks,
@@ -413,7 +412,7 @@ def view_relief(
             features(images, grid, smooth, light, g), grid, smooth, networks.relief
         )
         fields = estimate.relief_mm, estimate.deviation_mm, estimate.trust * lit
-    relief, deviation, trust = map(coarser, fields) if finer else fields
+    relief, deviation, trust = (bin_mean(field, FACTOR) if finer else field for field in fields)
     relief, deviation, trust = (
         np.where(inside, values, np.nan).astype(np.float32)
         for values in (relief * facing, deviation * facing, trust)

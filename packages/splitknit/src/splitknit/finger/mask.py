@@ -95,30 +95,6 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
     return mask
 
 
-def finger_region(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
-    """Roughly where the finger is, to a pixel of the coarse copy: the first step of
-    :func:`finger_mask`, which see."""
-    image = _checked(mean_image)
-    # scale of the copy on which a finger is located roughly, where time counts
-    scale = reduction(image.shape[:2], px_per_mm, 5.5, 600)
-    coarse = blur(reduce_image(image, scale), 0.5 * _SEED_BLUR_MM * px_per_mm * scale)
-    mask = _coarse_mask(coarse, px_per_mm * scale)
-    check_borders(mask)
-    return _enlarged(mask, image.shape[:2])
-
-
-def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -> BoolArray:
-    """Refine a mask `rough` (h, w) of the same view, at any scale, to the finger's outline (H, W):
-    the last step of :func:`finger_mask`. `mean_image`: with 3 mm of background around it. BadInput
-    if nothing stands out.
-    """
-    image = _checked(mean_image)
-    require(rough.any(), _NO_FINGER, NoFinger)
-    # scale of the copy on which the outline around a rough mask is traced
-    scale = reduction(image.shape[:2], px_per_mm, 10.0, 1200)
-    return _fine_outline(reduce_image(image, scale), rough, image.shape[:2], px_per_mm * scale)
-
-
 _MIN_WIDTH_MM = 4.0  # a region that is nowhere as wide as this is not a finger
 
 

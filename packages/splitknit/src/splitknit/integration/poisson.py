@@ -12,6 +12,7 @@ import scipy
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.pixels import Window
 from splitknit.integration.conjugate_gradients import conjugate_gradients, dot, rms
 from splitknit.integration.frankot_chellappa import check_fields, zero_mean
 from splitknit.model import Array, BoolArray, FloatArray
@@ -24,6 +25,8 @@ _LOG = logging.getLogger(__name__)
 # the last row of `down` are zero.
 
 Floats = TypeVar("Floats", FloatArray, Array)
+_Edges = tuple[FloatArray, FloatArray]
+"""Values of the edges to the right, and downwards."""
 
 
 def _difference(height: Floats) -> tuple[Floats, Floats]:
@@ -42,7 +45,7 @@ def _difference_adjoint(right: Floats, down: Floats) -> Floats:
     return result
 
 
-def _edge_weights(weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _edge_weights(weights: FloatArray) -> _Edges:
     """Mean weight of an edge's two pixels, zero unless both lie in the mask, where weights are
     positive."""
     mask = weights > 0
@@ -53,29 +56,28 @@ def _edge_weights(weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     return right, down
 
 
-def _predicted_differences(
-    slope_x: FloatArray, slope_y: FloatArray, weights: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+_WEIGHT_FLOOR = 1e-3
+"""Minimum weight, so that a hole in the data is bridged smoothly instead of cut out."""
+
+
+def _on_edges(of_right: FloatArray, of_down: FloatArray, weights: FloatArray) -> _Edges:
+    """Weighted means of an edge's two pixels, zero where both weigh nothing: of one field (H, W)
+    to the right, of another downwards."""
+    right, down = np.zeros_like(weights), np.zeros_like(weights)
+    flow, fall, floor = of_right * weights, of_down * weights, np.float32(1e-12)
+    beside, below = weights[:, 1:] + weights[:, :-1], weights[1:] + weights[:-1]
+    right[:, :-1] = (flow[:, 1:] + flow[:, :-1]) / np.maximum(beside, floor)
+    down[:-1] = (fall[1:] + fall[:-1]) / np.maximum(below, floor)
+    return right, down
+
+
+def _predicted_differences(slope_x: FloatArray, slope_y: FloatArray, weights: FloatArray) -> _Edges:
     """Integral of the slopes (y up) along every edge, by the trapezoidal rule.
 
     It is the mean of the two pixels' slopes; a slope of weight zero is not used. The mean is not
     weighted: with weights that fall with the slope, steep sides would come out too low.
     """
-    right, down = np.zeros_like(slope_x), np.zeros_like(slope_x)
-    right[:, :-1] = _edge_integral(slope_x.T, weights.T).T
-    down[:-1] = -_edge_integral(slope_y, weights)
-    return right, down
-
-
-_WEIGHT_FLOOR = 1e-3
-"""Minimum weight, so that a hole in the data is bridged smoothly instead of cut out."""
-
-
-def _edge_integral(slope: FloatArray, weights: FloatArray) -> FloatArray:
-    """Integral between successive rows, (H - 1, W)."""
-    used = (weights > _WEIGHT_FLOOR).astype(np.float32)
-    kept = slope * used
-    return np.asarray((kept[1:] + kept[:-1]) / np.maximum(used[1:] + used[:-1], 1))
+    return _on_edges(slope_x, -slope_y, (weights > _WEIGHT_FLOOR).astype(np.float32))
 
 
 # Multigrid for the graph Laplacian of a masked, weighted pixel grid.
@@ -148,6 +150,10 @@ class _Grid:
         height += self.prolong(self.coarser.cycle(self.restrict(residual)))
         self._smooth(height, right_side)
         return height
+
+    def precondition(self, residual: Array) -> Array:
+        """The cycle in single precision, of and in double precision."""
+        return self.cycle(residual.astype(np.float32)).astype(np.float64)
 
     def prolong(self, coarse: FloatArray) -> FloatArray:
         """Interpolate heights of the coarser grid to this one."""
@@ -256,9 +262,7 @@ def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = N
     trust = _check_weights(inside if weights is None else weights, inside)
     window = bounding_box(inside)
     height = _solve_masked(slope_x[window], slope_y[window], trust[window])
-    result = np.full(inside.shape, np.nan, dtype=np.float32)
-    result[window] = _zero_mean_by_component(height, np.ascontiguousarray(inside[window]))
-    return result
+    return _zero_mean_by_component(height, inside, window)
 
 
 def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
@@ -275,14 +279,17 @@ def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
     return np.where(mask, np.maximum(trust, _WEIGHT_FLOOR), 0.0)
 
 
-def _zero_mean_by_component(height: FloatArray, mask: BoolArray) -> FloatArray:
-    """Return `height` with a zero mean over every 4-connected component of the mask, NaN outside
-    it."""
-    count, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+def _zero_mean_by_component(height: FloatArray, mask: BoolArray, window: Window) -> FloatArray:
+    """Return `height` of a window with a zero mean over every 4-connected component of the mask (H,
+    W), NaN outside it."""
+    inside = mask[window].astype(np.uint8)
+    count, labels = cv2.connectedComponents(inside, connectivity=4, ltype=cv2.CV_32S)
     size = np.bincount(labels.ravel(), minlength=count)
     total = np.bincount(labels.ravel(), weights=height.ravel(), minlength=count)
     mean = (total / np.maximum(size, 1)).astype(np.float32)
-    return np.where(mask, height - mean[labels], np.nan)
+    result = np.full(mask.shape, np.nan, dtype=np.float32)
+    np.copyto(result[window], height - mean[labels], where=mask[window])
+    return result
 
 
 def _solve_rectangle(right_side: FloatArray) -> FloatArray:
@@ -326,16 +333,12 @@ def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, weights: FloatArray)
     if not any(edge.any() for edge in edges):  # no pixel has a neighbour
         return height.astype(np.float32)
     grid = _Grid(*edges)
-
-    def cycle(residual: Array) -> Array:
-        return grid.cycle(residual.astype(np.float32)).astype(np.float64)
-
-    height = cycle(_residual(height, edges, targets)[0])
+    height = grid.precondition(_residual(height, edges, targets)[0])
     residual, excess = _residual(height, edges, targets)
     for _ in range(_ROUNDS):
         correction, eigenvalue = conjugate_gradients(
             grid.apply,
-            cycle,
+            grid.precondition,
             residual,
             most=_MAX_ITERATIONS,
             error=_TOLERANCE * rms(height),
@@ -343,7 +346,7 @@ def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, weights: FloatArray)
         )
         height += correction
         residual, excess = _residual(height, edges, targets)
-        estimate = cycle(residual) / eigenvalue
+        estimate = grid.precondition(residual) / eigenvalue
         settled = rms(estimate) <= _TOLERANCE * rms(height)
         if settled and dot(residual, estimate) <= excess:
             break
@@ -354,11 +357,7 @@ def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, weights: FloatArray)
     return height.astype(np.float32)
 
 
-def _residual(
-    height: Array,
-    weights: tuple[FloatArray, FloatArray],
-    targets: tuple[FloatArray, FloatArray],
-) -> tuple[Array, float]:
+def _residual(height: Array, weights: _Edges, targets: _Edges) -> tuple[Array, float]:
     """Half the negative gradient of the energy, the weighted sum of squared residuals of edges; and
     how far the energy may lie above its minimum: a part of it, or what the precision of the
     targets, the predicted differences, makes of zero.
@@ -427,10 +426,13 @@ def piecewise(gradient_x: Any, gradient_y: Any, mask: Any = None) -> FloatArray:
     slopes, mask_here = (slope_x[window], slope_y[window]), inside[window].astype(np.float32)
     edges, targets = _edge_weights(mask_here), _predicted_differences(*slopes, mask_here)
     facing = mask_here / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)  # z of the normals
+    noise = _NOISE_RAD**2 / np.maximum(facing, 1e-3) ** 4  # of a slope: the normal's over n_z^4
+    # differences of heights of chords at right angles to the mean of two normals: exact on spheres
+    chords = _on_edges(slopes[0], -slopes[1], facing)
     variances = [
-        noise + (target - chord) ** 2
-        for noise, target, chord in zip(
-            _noise_of_differences(facing), targets, _chords(*slopes, facing), strict=True
+        np.maximum(of_mean / 2, _NOISE_RAD**2 / 2) + (target - chord) ** 2
+        for of_mean, target, chord in zip(
+            _on_edges(noise, noise, np.ones_like(noise)), targets, chords, strict=True
         )
     ]
     height = np.zeros(mask_here.shape)
@@ -443,42 +445,10 @@ def piecewise(gradient_x: Any, gradient_y: Any, mask: Any = None) -> FloatArray:
         height += _correction(height, (weights[0], weights[1]), targets)
         steps = _difference(height)
         residuals = (targets[0] - steps[0], targets[1] - steps[1])
-    result = np.full(inside.shape, np.nan, dtype=np.float32)
-    result[window] = _zero_mean_by_component(
-        height.astype(np.float32), np.ascontiguousarray(inside[window])
-    )
-    return result
+    return _zero_mean_by_component(height.astype(np.float32), inside, window)
 
 
-def _noise_of_differences(facing: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Variance of the mean slope of an edge's two pixels: that of a slope is the normal's over
-    n_z^4."""
-    noise = _NOISE_RAD**2 / np.maximum(facing, 1e-3) ** 4
-    right, down = np.ones_like(facing), np.ones_like(facing)
-    right[:, :-1] = 0.25 * (noise[:, 1:] + noise[:, :-1])
-    down[:-1] = 0.25 * (noise[1:] + noise[:-1])
-    return right, down
-
-
-def _chords(
-    slope_x: FloatArray, slope_y: FloatArray, facing: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Differences of heights across edges, of chords at right angles to the mean of two normals:
-    exact on spheres."""
-    right, down = np.zeros_like(slope_x), np.zeros_like(slope_x)
-    flow_x, flow_y, floor = slope_x * facing, slope_y * facing, np.float32(1e-12)
-    right[:, :-1] = (flow_x[:, 1:] + flow_x[:, :-1]) / np.maximum(
-        facing[:, 1:] + facing[:, :-1], floor
-    )
-    down[:-1] = -(flow_y[1:] + flow_y[:-1]) / np.maximum(facing[1:] + facing[:-1], floor)
-    return right, down
-
-
-def _correction(
-    height: Array,
-    weights: tuple[FloatArray, FloatArray],
-    targets: tuple[FloatArray, FloatArray],
-) -> Array:
+def _correction(height: Array, weights: _Edges, targets: _Edges) -> Array:
     """Change of the heights by one round of weights, solved to a thousandth of their rms."""
     if not any(weight.any() for weight in weights):  # no pixel has a neighbour
         return np.zeros_like(height)
@@ -491,7 +461,7 @@ def _correction(
     residual, _ = _residual(height, (grid.right, grid.down), targets)
     correction, _ = conjugate_gradients(
         grid.apply,
-        lambda image: grid.cycle(image.astype(np.float32)).astype(np.float64),
+        grid.precondition,
         residual,
         most=_MAX_ITERATIONS,
         error=1e-3 * max(rms(height), 1.0),

@@ -159,15 +159,11 @@ class SkinSurface:
     shape_mm: FloatArray
     relief_mm: FloatArray
     deviation_mm: FloatArray
-    """Standard deviation of the relief: noise, what denoising removed, unknown scattering, and
-    model error."""
+    """Standard deviation of the relief: noise, what denoising removed, and model error."""
     albedo: FloatArray  # diffuse brightness of the first channel, relative
     facts: Mapping[str, Any]
 
 
-SCATTERING_SD = 0.3
-"""Relative standard deviation of the scattering between people; it enters the relief's uncertainty.
-Chosen on: judgement. Range: 0.15 to 0.6 (validation/parameters)."""
 RELIEF_ROUNDS = 2  # estimates of the relief
 
 
@@ -197,11 +193,10 @@ def metric_skin(
     optics = skin.optics(images.channels, colour)
     rounds = p.rounds or RELIEF_ROUNDS
     if networks is None:
-        scattering_more = skin.optics(images.channels, colour, 1 + SCATTERING_SD)
         smooth = on_fine_grid(shape.height_mm, images)
         light = white_light_on(shape.height_mm, images)
         measured = measure(images.white, grid, smooth, light, optics, shape.brightness)
-        estimate = relief_by_colour(measured, grid, smooth, scattering_more, rounds)
+        estimate = relief_by_colour(measured, grid, smooth, rounds)
     else:
         smooth, estimate = relief_and_shape(images, shape, optics, networks, rounds)
     detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
@@ -345,8 +340,8 @@ def without_white(band: BandImages, part: FloatArray) -> BandImages:
     return replace(band, stack=band.stack - (band.stack[2] - part * band.stack[0]) / 2)
 
 
-_TURNED = (5, 6)
-"""Orientations (90 and 270 degrees) averaged with the upright one in the relief estimate."""
+_TURNED = (1, 3)
+"""Quarter turns averaged with the upright image in the relief estimate."""
 
 
 def relief_and_shape(

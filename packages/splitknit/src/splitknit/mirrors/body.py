@@ -103,28 +103,15 @@ class _Sections:
     shear: Array
     squareness: float
 
-    def support(self, normal_t: Array, normal_z: Array) -> tuple[Array, Array, Array]:
-        """How far the section reaches along (normal_t, normal_z), and its derivatives by a and
-        b."""
-        x, rise, turned = self._touched(normal_t, normal_z)
-        by_a = normal_t * x
-        by_b = turned * rise
-        return self.t * normal_t + self.z * normal_z + self.a * by_a + self.b * by_b, by_a, by_b
-
     def contact(self, normal_t: Array, normal_z: Array) -> tuple[Array, Array]:
         """Point (t, z) of the section at which its outward normal is along (normal_t, normal_z)."""
-        x, rise, _ = self._touched(normal_t, normal_z)
-        return self.t + self.a * x + self.shear * self.b * rise, self.z + self.b * rise
-
-    def _touched(self, normal_t: Array, normal_z: Array) -> tuple[Array, Array, Array]:
-        """X and Z where a line of that normal touches, and the normal's second part after the
-        shear."""
-        turned = normal_z + self.shear * normal_t
+        turned = normal_z + self.shear * normal_t  # the normal's second part after the shear
         steepness = np.arctan2(np.abs(self.a * normal_t), np.abs(self.b * turned))
         angle = np.interp(steepness, *_oval_table(self.squareness))
         sine = np.sin(angle)
-        rise = np.cos(angle) * (1.0 + self.squareness * sine * sine)
-        return np.copysign(sine, normal_t), np.copysign(rise, turned), turned
+        rise = np.copysign(np.cos(angle) * (1.0 + self.squareness * sine * sine), turned)
+        across = self.a * np.copysign(sine, normal_t) + self.shear * self.b * rise
+        return self.t + across, self.z + self.b * rise
 
 
 @lru_cache(maxsize=64)
@@ -136,11 +123,6 @@ def _oval_table(squareness: float) -> tuple[Array, Array]:
     cosine = np.cos(node)
     normal_x = sine * (1.0 + squareness * (sine * sine - 2.0 * cosine * cosine))
     return np.arctan2(normal_x, cosine), node
-
-
-def basis(x: Array, count: int) -> Array:
-    """(n, count) cubic B-splines on [0, 1] with evenly spaced knots."""
-    return np.asarray(BSpline.design_matrix(x, _knots(count), 3).toarray())
 
 
 def _spline(coefficients: Array) -> BSpline:

@@ -14,7 +14,7 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.finger.locate import Finger
 from splitknit.imaging.areas import mirror_outline
-from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import height_gradients, local_mean, normals_from_gradients
 from splitknit.imaging.pixels import bin_mean
 from splitknit.imaging.view import View, pixels_of, view_of
 from splitknit.integration.knit import crossover, unevenness
@@ -175,17 +175,12 @@ def skin_slopes(rig: Rig, grey: FloatArray, views: Views, shape: MirrorShape) ->
     length = np.linalg.norm(normals, axis=2)
     level = 1e-3 * np.median(length[inside])
     upward = np.maximum(normals[..., 2], level)
-    known = (inside & (normals[..., 2] > 0.3 * length)).astype(np.float32)
-    sigma = 0.5 / block_mm
-    fraction = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), 1e-3)
-    smooth = [
-        cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / fraction
-        for k in range(2)
-    ]
+    known = inside & (normals[..., 2] > 0.3 * length)
+    smooth = [local_mean(-normals[..., k] / upward, known, 0.5 / block_mm)[0] for k in range(2)]
     step = max(1, round(1.0 / block_mm))  # distance of the places whose slopes are used
     chosen = np.zeros_like(inside)
     chosen[step // 2 :: step, step // 2 :: step] = True
-    chosen &= (depth > _RIM_MM) & (known > 0)
+    chosen &= (depth > _RIM_MM) & known
     places = np.column_stack([x[chosen], y[chosen]]).astype(np.float64)
     return Slopes(
         places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64)

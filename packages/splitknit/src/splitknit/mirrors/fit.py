@@ -11,22 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.optimize import approx_fprime
 
 from splitknit.errors import require
 from splitknit.imaging.robust import deviation, tukey
-from splitknit.mirrors.body import Body, Slopes, basis, slopes_across
+from splitknit.mirrors.body import Body, Slopes, slopes_across
 from splitknit.mirrors.outline import ROW_MM
 from splitknit.mirrors.reflection import Plane, Pose, Touching
 from splitknit.model import Array, BoolArray
 
-Parameter = tuple[str, str]
-"""A parameter that all sections share: its name, and the mirror whose pose it is of ('': the
-body)."""
-_FORM: list[Parameter] = [("squareness", ""), ("shear", ""), ("shear_slope", "")]
+_OF_BODY = ("tip_mm", "squareness", "shear", "shear_slope")
+"""Numbers of the body that all its sections share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,20 +49,22 @@ class Estimate:
     body: Body
     poses: Mapping[str, Pose]
 
-    def value(self, parameter: Parameter) -> float:
-        """Value of a shared parameter."""
-        kind, mirror = parameter
-        return float(getattr(self.poses[mirror] if mirror else self.body, kind))
+    @property
+    def vector(self) -> Array:
+        """(n,) all that is estimated: coefficients, shared numbers of the body, poses."""
+        shared = [getattr(self.body, name) for name in _OF_BODY]
+        return np.concatenate([self.body.coefficients.ravel(), shared, *self.poses.values()])
 
-    def moved(self, parameter: Parameter, by: float) -> Estimate:
-        """With one shared parameter changed."""
-        kind, mirror = parameter
-        change: dict[str, Any] = {kind: self.value(parameter) + by}
-        if mirror:
-            return Estimate(
-                self.body, {**self.poses, mirror: self.poses[mirror]._replace(**change)}
-            )
-        return Estimate(replace(self.body, **change), self.poses)
+    def at(self, vector: Array) -> Estimate:
+        """The estimate whose :attr:`vector` is this one."""
+        of_splines, shared, poses = np.split(vector, _ends(self.body))
+        coefficients = of_splines.reshape(self.body.coefficients.shape)
+        own = dict(zip(_OF_BODY, shared.tolist(), strict=True))
+        pairs = zip(self.poses, poses.reshape(-1, 3).tolist(), strict=True)
+        return Estimate(
+            replace(self.body, coefficients=coefficients, **own),
+            {name: Pose(*pose) for name, pose in pairs},
+        )
 
     def planes(self, name: str, outline: ViewOutline) -> Touching:
         """Planes of one view as they touch the finger itself."""
@@ -74,7 +75,7 @@ class Estimate:
     def residuals(self, outlines: Outlines) -> dict[str, Array]:
         """(n,) distance of the body beyond the planes of each view, in mm."""
         return {
-            name: _contacts(self.body, self.planes(name, outline)).residual
+            name: _contacts(self.body, self.planes(name, outline))[1]
             for name, outline in outlines.items()
         }
 
@@ -105,113 +106,79 @@ class Fit(Estimate):
         }
 
 
-class _Contacts(NamedTuple):
-    """Where n planes of one view touch a body."""
-
-    residual: Array  # (n,) distance of the body beyond each plane
-    u: Array  # (n,) place along the body
-    normal: Array  # (n, 3) of the planes, in the finger's frame
-    by_a: Array  # (n,) derivatives of the support by the half axes
-    by_b: Array
+def _ends(body: Body) -> tuple[int, int]:
+    """Where the splines' coefficients and the body's shared numbers end in a vector."""
+    return body.coefficients.size, body.coefficients.size + len(_OF_BODY)
 
 
-def _contacts(body: Body, planes: Touching) -> _Contacts:
+def _contacts(body: Body, planes: Touching) -> tuple[Array, Array]:
+    """(n, 3) t, u, z of the body where the planes of one view touch it, and (n,) how far it reaches
+    beyond each."""
     normal = body.to_frame(planes.normal, place=False)
     point = body.to_frame(planes.point, place=True)
     direction = body.to_frame(planes.direction, place=False)
     within = np.maximum(direction[:, 0] ** 2 + direction[:, 2] ** 2, 1e-6)
-    u = point[:, 1] + 0.0
-    for _ in range(3):
+    u = point[:, 1]
+    for _ in range(4):
         t, z = body.sections(u).contact(normal[:, 0], normal[:, 2])
+        places = np.column_stack([t, u, z])
         far = ((t - point[:, 0]) * direction[:, 0] + (z - point[:, 2]) * direction[:, 2]) / within
         u = point[:, 1] + far * direction[:, 1]
-    support, by_a, by_b = body.sections(u).support(normal[:, 0], normal[:, 2])
-    offset = (normal * point).sum(axis=1)
-    return _Contacts(support + normal[:, 1] * u - offset, u, normal, by_a, by_b)
+    return places, ((places - point) * normal).sum(axis=1)
 
 
 def touched(body: Body, planes: Touching) -> Array:
     """(n, 3) points of the body, rig's frame, at which the planes of a view touch."""
-    contacts = _contacts(body, planes)
-    t, z = body.sections(contacts.u).contact(contacts.normal[:, 0], contacts.normal[:, 2])
-    level = body.origin_mm + np.outer(t, body.across) + np.outer(contacts.u, body.axis)
-    return np.column_stack([level, z])
+    t, u, z = _contacts(body, planes)[0].T
+    return np.column_stack([body.origin_mm + np.outer(t, body.across) + np.outer(u, body.axis), z])
 
 
 # What is expected without outlines, what slopes of the skin add, and the weights of the outlines.
 
 
-def _prefer_smooth(normal: Array, right: Array, body: Body) -> None:
-    count = body.coefficients.shape[1]
-    smooth = (0.4, 0.4, 0.6, 0.6)  # mm, standard deviation of third differences of t, z, A and B
-    third = np.diff(np.eye(count), 3, axis=0)
-    for k, spread in enumerate(smooth):
-        of_line = slice(k * count, (k + 1) * count)
-        normal[of_line, of_line] += third.T @ third / spread**2
-        right[of_line] -= third.T @ (third @ body.coefficients[k]) / spread**2
-    # B over A is even along the finger: it holds where one edge of a mirror's view is missing
-    ratio = float(np.sum(body.coefficients[3]) / np.sum(body.coefficients[2]))
-    of_b = np.arange(3 * count, 4 * count)
-    normal[of_b, of_b] += 1.0
-    right[of_b] -= body.coefficients[3] - ratio * body.coefficients[2]
-
-
+_SMOOTH_MM = np.array([[0.4], [0.4], [0.6], [0.6]])
+"""Standard deviation of third differences of t, z, A and B."""
 _ANGLE_DEG = 1.5
 """Standard deviation of the mirrors' angles about their nominal ones. Range: none within 0.7 to 1.4
 (validation/parameters)."""
 _SHEAR_SD = 0.05
 """Standard deviation of the shear: a roll by 8 deg gives about 0.045. Range: none within 0.7 to 1.4
 (validation/parameters)."""
+_HELD = (np.inf, 1e-3, 0.05)
+"""Largest standard deviations of a mirror's turn, lean and shift in the first corrections, in which
+the body's size is estimated: under spreading rays a wrong size is otherwise taken for another
+height, and mirrors follow it."""
 
 
-def _expected(
-    body: Body, outlines: Outlines, *, with_shear: bool
-) -> dict[Parameter, tuple[float, float]]:
-    """Expected value and standard deviation of every shared parameter."""
-    expected = {
-        ("tip_mm", ""): (body.tip_mm, 0.05),  # mm
-        ("squareness", ""): (body.squareness, 0.08),  # slopes weigh more
-    }
-    if with_shear:
-        expected["shear", ""] = 0.0, _SHEAR_SD
-        expected["shear_slope", ""] = 0.0, 0.3 * _SHEAR_SD
+def _expected(start: Estimate, outlines: Outlines, *, with_shear: bool) -> tuple[Array, Array]:
+    """Expected values and standard deviations of the body's shared numbers and of the poses."""
+    shear_sd = _SHEAR_SD if with_shear else 1e-9
+    # of the tip in mm; of the squareness, on which slopes weigh more
+    expected = [(start.body.tip_mm, 0.05), (start.body.squareness, 0.08)]
+    expected += [(0.0, shear_sd), (0.0, 0.3 * shear_sd)]
     angle = 0.0, float(np.deg2rad(_ANGLE_DEG))
-    for name, outline in outlines.items():
-        if outline.plane is not None:
-            turn_sd = outline.turn_sd_rad
-            expected["turn_rad", name] = angle if turn_sd is None else (outline.turn_rad, turn_sd)
-            expected["lean_rad", name] = angle
-            expected["shift_mm", name] = 0.0, 1.5  # mm
-    return expected
+    for name in start.poses:
+        outline = outlines[name]
+        known = outline.turn_sd_rad
+        turn = angle if known is None else (outline.turn_rad, known)
+        expected += [turn, angle, (0.0, 1.5)]  # the last of the shift, mm
+    value, spread = np.transpose(expected)
+    return value, spread
 
 
-_STEP = 1e-4
-"""Step of the difference quotients by shared parameters."""
 _SLOPE_ERROR = 0.1
 """Standard deviation of a measured slope of the skin (scattering flattens measured slopes). Range:
 none within 0.7 to 1.4 (validation/parameters)."""
 
 
-def _slope_equations(estimate: Estimate, slopes: Slopes) -> tuple[Array, Array]:
-    """Normal equations (3, 3) and (3,) of squareness and shear, by the skin's slopes across."""
-    residual = slopes_across(estimate.body, slopes)
-    jacobian = np.column_stack(
-        [
-            (slopes_across(estimate.moved(parameter, _STEP).body, slopes) - residual) / _STEP
-            for parameter in _FORM
-        ]
-    )
-    known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=1)
-    count = int(known.sum())
-    if count < 20:  # fewer slopes are not used
-        return np.zeros((3, 3)), np.zeros(3)
-    residual = residual[known]
-    jacobian = jacobian[known]
-    weight = tukey(residual, 4.0 * _SLOPE_ERROR) / _SLOPE_ERROR**2
-    # as 20 independent slopes: they err together at specular reflections, and where light by way
-    # of a mirror ends
-    weight *= 20.0 / count
-    return jacobian.T @ (weight[:, None] * jacobian), -(jacobian.T @ (weight * residual))
+def _slope_weight(residual: Array) -> Array:
+    """Weights (n,) of the skin's slopes: as of 20 independent ones, for they err together at
+    specular reflections, and where light by way of a mirror ends; fewer are not used."""
+    count = int(np.isfinite(residual).sum())
+    if count < 20:
+        return np.zeros_like(residual)
+    weight = tukey(np.nan_to_num(residual, nan=np.inf), 4.0 * _SLOPE_ERROR) / _SLOPE_ERROR**2
+    return weight * 20.0 / count
 
 
 _OUTLINE_MM = 0.05
@@ -230,10 +197,6 @@ there to its end: shading, blur and the threshold move it as a whole, which a mi
 otherwise explain. Range: 0.05 to 0.2 (validation/parameters)."""
 FIT_ROUNDS = 9
 """Maximum corrections of a fit. Chosen on: speed. Range: 6 to 18 (validation/parameters)."""
-_HELD_PRIORS = {"lean_rad": (0.0, 1e-3), "shift_mm": (0.0, 0.05)}
-"""Expected value and standard deviation that hold mirrors in their nominal place in the first
-corrections, in which the body's size is estimated: under spreading rays a wrong size is otherwise
-taken for another height, and mirrors follow it."""
 
 
 def fit_body(
@@ -242,62 +205,60 @@ def fit_body(
     """Fit body and poses from a first guess `start`, the `outlines` of all views and, if given,
     `slopes` of the skin, in so many `rounds` of corrections.
     """
-    estimate = start
-    splines = start.body.coefficients.size
-    common = _common_errors(estimate, outlines)
-    expected = _expected(start.body, outlines, with_shear=slopes is not None)
-    held = {key: _HELD_PRIORS.get(key[0], prior) for key, prior in expected.items()}
-    free = splines + len(expected)
-    for turn in range(rounds):
-        views, by_splines = _linearised(estimate, outlines)
-        residual = np.concatenate(views)
-        by_shared = [
-            (estimate.moved(key, _STEP).all_residuals(outlines) - residual) / _STEP
-            for key in expected
-        ]
-        weight = np.concatenate([_robust_weight(view) for view in views])
+    common = _common_errors(start, outlines)
+    expected, spread = _expected(start, outlines, with_shear=slopes is not None)
+    held = np.minimum(spread, [*[np.inf] * len(_OF_BODY), *_HELD * len(start.poses)])
+    splines, _ = _ends(start.body)
+    vector = np.concatenate([start.vector, np.zeros(common.shape[1])])
+    free = vector.size - common.shape[1]
+
+    def correction(vector: Array, sd: Array) -> Array:
+        now = start.at(vector[:free])
+        weight = np.concatenate([_robust_weight(view) for view in now.residuals(outlines).values()])
         # every second row is a point; those nearer to each other than 4 mm err together
-        weight *= 2.0 * ROW_MM / 4.0 / _OUTLINE_MM**2
-        jacobian = np.column_stack([by_splines, np.column_stack(by_shared), common])
-        normal = jacobian.T @ (weight[:, None] * jacobian)
-        right = -jacobian.T @ (weight * residual)
-        normal[free:, free:] += np.eye(common.shape[1]) / _EDGE_SD_MM**2
-        _prefer_smooth(normal, right, estimate.body)
-        # at first mirrors keep their nominal place
-        priors = held if turn < 3 else expected
-        for k, (key, (value, spread)) in enumerate(priors.items(), splines):
-            normal[k, k] += 1.0 / spread**2
-            right[k] += (value - estimate.value(key)) / spread**2
-        if slopes is not None:
-            form = slice(splines + 1, splines + 4)  # squareness and shear, see `_expected`
-            form_normal, form_right = _slope_equations(estimate, slopes)
-            normal[form, form] += form_normal
-            right[form] += form_right
-        step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-9), right)
-        estimate = _corrected(
-            estimate, step[:splines], dict(zip(expected, step[splines:free], strict=True))
-        )
+        root = np.sqrt(weight * 2.0 * ROW_MM / 4.0) / _OUTLINE_MM
+        _, _, a, b = now.body.coefficients
+        even_b = a * b.sum() / a.sum()
+        slope = np.zeros(0) if slopes is None else slopes_across(now.body, slopes)
+        slope_root = np.sqrt(_slope_weight(slope))
+
+        def rows(vector: Array) -> Array:
+            """All that is to be small, over its standard deviation."""
+            estimate, errors = start.at(vector[:free]), vector[free:]
+            coefficients = estimate.body.coefficients
+            form = replace(estimate.body, coefficients=now.body.coefficients)
+            here = slope if slopes is None else slopes_across(form, slopes)
+            return np.concatenate(
+                [
+                    root * (estimate.all_residuals(outlines) + common @ errors),
+                    (np.diff(coefficients, 3) / _SMOOTH_MM).ravel(),
+                    # B over A is even along the finger: it holds where one edge of a mirror's view
+                    # is missing
+                    coefficients[3] - even_b,
+                    (vector[splines:free] - expected) / sd,
+                    errors / _EDGE_SD_MM,
+                    slope_root * np.nan_to_num(np.where(np.isfinite(here), here, slope)),
+                ]
+            )
+
+        jacobian = approx_fprime(vector, rows, _STEP)
+        return np.asarray(np.linalg.lstsq(jacobian, -rows(vector), rcond=None)[0])
+
+    for turn in range(rounds):
+        step = correction(vector, held if turn < 3 else spread)  # mirrors keep their place at first
+        vector = vector + step
+        vector[splines + 1] = np.clip(vector[splines + 1], -0.2, MAX_SQUARE)
         if turn > 3 and float(np.abs(step[:splines]).max()) < 0.01:  # mm
             break
+    estimate = start.at(vector[:free])
     misfit = estimate.residuals(outlines)
     weights = {name: _robust_weight(view) for name, view in misfit.items()}
     return Fit(estimate.body, estimate.poses, misfit, weights)
 
 
 MAX_SQUARE = 0.45  # largest squareness: beyond, the oval is no longer convex
-
-
-def _corrected(estimate: Estimate, splines: Array, shared: Mapping[Parameter, float]) -> Estimate:
-    """After a correction, with sections that are convex."""
-    coefficients = estimate.body.coefficients
-    coefficients = coefficients + splines.reshape(coefficients.shape)
-    estimate = Estimate(replace(estimate.body, coefficients=coefficients), estimate.poses)
-    for key, by in shared.items():
-        estimate = estimate.moved(key, float(by))
-    squareness = float(np.clip(estimate.body.squareness, -0.2, MAX_SQUARE))
-    return Estimate(replace(estimate.body, squareness=squareness), estimate.poses)
-
-
+_STEP = 1e-4
+"""Step of the difference quotients."""
 DISAGREEING_MM = 0.12
 """Rms misfit of the views above which one is taken to have a wrong edge; 0.02 to 0.07 is usual.
 Chosen on: simulated fingers."""
@@ -350,27 +311,6 @@ def _is_right(body: Body, planes: Touching) -> BoolArray:
     normal = body.to_frame(planes.normal, place=False)
     direction = body.to_frame(planes.direction, place=False)
     return normal[:, 0] * direction[:, 2] > normal[:, 2] * direction[:, 0]
-
-
-def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[list[Array], Array]:
-    """Residuals (n,) of each view, and their derivatives by the splines' coefficients (n, 4 K)."""
-    body = estimate.body
-    count = body.coefficients.shape[1]
-    residuals = []
-    rows = []
-    for name, outline in outlines.items():
-        residual, u, normal, by_a, by_b = _contacts(body, estimate.planes(name, outline))
-        w = body.fraction(u)
-        s = np.sqrt(w)
-        along = basis(w, count)
-        root = basis(s, count)
-        by_t = normal[:, :1] * along
-        by_z = normal[:, 2:] * along
-        rows.append(
-            np.column_stack([by_t, by_z, (by_a * s)[:, None] * root, (by_b * s)[:, None] * root])
-        )
-        residuals.append(residual)
-    return residuals, np.concatenate(rows)
 
 
 # Whether views are of one finger.

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import ceil
 
 import cv2
 import numpy as np
 
 from splitknit.errors import BadInput, require
-from splitknit.finger.mask import finger_outline, finger_region
-from splitknit.imaging.areas import blanked, enlarged_box, filled, grown, mirror_outline
+from splitknit.finger.mask import finger_mask
+from splitknit.imaging.areas import blanked, filled, grown, mirror_outline
 from splitknit.imaging.geometry import bounding_box
-from splitknit.imaging.pixels import block_means
 from splitknit.model import Array, BoolArray, FloatArray, Rig
 
 _NO_FINGER = (
@@ -46,9 +44,8 @@ def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
     The front view is the finger in the image without the mirrors' nominal outlines; each mirror's
     view is the finger around that mirror's outline, without the front view. Each view is one
     connected region, so a mirror's frame, second reflections and the finger's far parts are left
-    out. It is looked for on a small copy of the image, and the outlines are found in the image
-    around what was seen there. Raises BadInput if there are no mirrors, none shows a finger, a view
-    is cut by a mirror's edge, or there are two fingers.
+    out. Raises BadInput if there are no mirrors, none shows a finger, a view is cut by a mirror's
+    edge, or there are two fingers.
 
     image : (h, w, C) float32, linear, in blocks of `binning` pixels a side of the camera's image
     rig : its camera, and where its mirrors nominally are
@@ -57,20 +54,17 @@ def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
         rig.mirrors, "the rig has no mirrors: name them in rig.json, or take the shape from light."
     )
     px_per_mm = rig.camera.px_per_mm / binning
-    factor = max(1, int(px_per_mm / 4.0))  # px/mm
-    small_size = (image.shape[0] // factor, image.shape[1] // factor)
-    small = image
-    if factor > 1:
-        whole_blocks = image[: small_size[0] * factor, : small_size[1] * factor]
-        small = block_means(whole_blocks, small_size, factor)
-    rough_front, rough_views = _rough_views(small, rig, binning * factor)
-    outlines = _mirror_outlines(rig, binning)
-    front = _outlined(image, rough_front, "", None, outlines, px_per_mm)
-    require(front is not None, _NO_FINGER)
-    assert front is not None
+    outlines = {mirror.name: mirror_outline(mirror, rig.camera, binning) for mirror in rig.mirrors}
+    shape = (image.shape[0], image.shape[1])
+    beside = _allowed("", outlines, None, shape, px_per_mm)
+    front = _finger_in(image, beside, px_per_mm)
+    if front is None:
+        raise BadInput(_NO_FINGER)
+    _refuse_second(image, front, beside, px_per_mm)
     views = {}
-    for name, rough in rough_views.items():
-        view = _outlined(image, rough, name, front, outlines, px_per_mm)
+    for name in sorted(outlines):
+        allowed = _allowed(name, outlines, front, shape, px_per_mm)
+        view = _finger_in(image, allowed, px_per_mm)
         if view is not None:
             views[name] = view
             overlap_px = int((grown(front, 0.6 * px_per_mm) & view).sum())
@@ -83,62 +77,8 @@ def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
     return Views(front, views, binning)
 
 
-def _mirror_outlines(rig: Rig, binning: int) -> dict[str, Array]:
-    return {mirror.name: mirror_outline(mirror, rig.camera, binning) for mirror in rig.mirrors}
-
-
-def _rough_views(
-    image: FloatArray, rig: Rig, binning: int
-) -> tuple[BoolArray, dict[str, BoolArray]]:
-    """Front view and mirrors' views, to a pixel of a small copy."""
-    px_per_mm = rig.camera.px_per_mm / binning
-    outlines = _mirror_outlines(rig, binning)
-    shape = (image.shape[0], image.shape[1])
-    beside = _allowed("", outlines, None, shape, px_per_mm)
-    front = _largest_in(image, beside, px_per_mm)
-    require(front is not None, _NO_FINGER)
-    assert front is not None
-    _refuse_second(image, front, beside, px_per_mm)
-    views = {}
-    for name in sorted(outlines):
-        allowed = _allowed(name, outlines, front, shape, px_per_mm)
-        view = _largest_in(image, allowed, px_per_mm)
-        if view is not None:
-            views[name] = view
-    return front, views
-
-
 _REACH_MM = 3.0
 """A mirror's picture is searched for this far beyond its nominal outline."""
-
-
-def _outlined(  # noqa: PLR0917
-    image: FloatArray,
-    rough: BoolArray,
-    name: str,
-    front: BoolArray | None,
-    outlines: Mapping[str, Array],
-    px_per_mm: float,
-) -> BoolArray | None:
-    """A view whose outline is measured in `image` near the rough outline from a small copy; the
-    front view if `front` is not given."""
-    factor = image.shape[0] // rough.shape[0]
-    cells = bounding_box(rough, ceil(_REACH_MM * px_per_mm / factor))
-    box = enlarged_box(cells, factor, rough.shape, image.shape)
-    part = image[box]
-    corner = np.array([box[1].start, box[0].start])
-    allowed = _allowed(
-        name,
-        {mirror: outline - corner for mirror, outline in outlines.items()},
-        None if front is None else front[box],
-        (part.shape[0], part.shape[1]),
-        px_per_mm,
-    )
-    try:
-        mask = finger_outline(blanked(part, allowed, px_per_mm), rough[cells], px_per_mm)
-    except BadInput:
-        return None
-    return _on_image(mask & allowed, box, image.shape)
 
 
 def _allowed(
@@ -160,7 +100,7 @@ def _allowed(
     return allowed
 
 
-def _largest_in(image: FloatArray, allowed: BoolArray, px_per_mm: float) -> BoolArray | None:
+def _finger_in(image: FloatArray, allowed: BoolArray, px_per_mm: float) -> BoolArray | None:
     """The finger in the part of the image that is `allowed`, or None."""
     if not allowed.any():
         return None
@@ -169,19 +109,12 @@ def _largest_in(image: FloatArray, allowed: BoolArray, px_per_mm: float) -> Bool
     if min(inside.shape) < 20:
         return None
     try:
-        mask = finger_region(blanked(image[window], inside, px_per_mm), px_per_mm)
+        mask = finger_mask(blanked(image[window], inside, px_per_mm), px_per_mm) & inside
     except BadInput:
         return None
-    return _on_image(mask & inside, window, image.shape)
-
-
-def _on_image(
-    part: BoolArray, box: tuple[slice, slice], shape: tuple[int, ...]
-) -> BoolArray | None:
-    """A mask of a part of an image on the whole image; None if it is empty."""
-    whole = np.zeros(shape[:2], dtype=np.bool_)
-    whole[box] = part
-    return whole if part.any() else None
+    whole = np.zeros(allowed.shape, dtype=np.bool_)
+    whole[window] = mask
+    return whole if mask.any() else None
 
 
 def _refuse_second(

@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -350,33 +350,25 @@ def _first_line(error: BaseException) -> str:
 # as in one piece. A network that halves its images three times works on a grid of 8 pixels (its
 # *stride*), and what it makes of a pixel depends on the image up to some distance away (its
 # *reach*). Tiles begin and end on that grid and carry a margin of at least the reach on every side
-# where the image goes on;
-# the margin's result is
-# thrown away.
+# where the image goes on; the margin's result is thrown away.
 
 
 def _plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -> list[_Tile]:
-    """Cut a padded image, `shape` in multiples of `stride`, into tiles of nearly one size, with
-    their margins (`reach`, px) as small as squares of side `tile`: of all regular cuts that with
-    the fewest pixels computed. Returns, row by row, rows and columns that the network sees, those
-    of its result that count, and where they go.
+    """Cut a padded image, `shape` in multiples of `stride`, across its longer side into as few
+    tiles of nearly one size as have, with their margins (`reach`, px), no more pixels than squares
+    of side `tile`. Returns rows and columns that the network sees, those of its result that count,
+    and where they go.
     """
     require(tile >= 1, f"tile must be at least 1 pixel, but it is {tile}.")
-    side = -(-tile // stride) * stride
-    limit = (side + 2 * (-(-reach // stride) * stride)) ** 2
-    most = [-(-length // side) for length in shape]
-
-    def cuts() -> Iterator[tuple[int, list[_Span], list[_Span]]]:
-        for across in range(1, most[1] + 1):
-            columns = _spans(shape[1], across, reach, stride)
-            for down in range(1, 4 * most[0] + 1):
-                rows = _spans(shape[0], down, reach, stride)
-                pixels = max(_length(r) for r in rows) * max(_length(c) for c in columns)
-                if pixels <= limit or (down, across) == (most[0], most[1]):
-                    yield sum(map(_length, rows)) * sum(map(_length, columns)), rows, columns
-
-    _, rows, columns = min(cuts(), key=lambda cut: cut[0])
-    return [((r[0], c[0]), (r[1], c[1]), (r[2], c[2])) for r, c in product(rows, columns)]
+    limit = (-(-tile // stride) * stride + 2 * (-(-reach // stride) * stride)) ** 2
+    short, long = sorted(shape)
+    for pieces in range(1, long // stride + 1):
+        strips = _spans(long, pieces, reach, stride)
+        if max(span[0].stop - span[0].start for span in strips) * short <= limit:
+            break
+    (whole,) = _spans(short, 1, reach, stride)
+    pairs = [(strip, whole) if shape[0] == long else (whole, strip) for strip in strips]
+    return [((r[0], c[0]), (r[1], c[1]), (r[2], c[2])) for r, c in pairs]
 
 
 _Span = tuple[slice, slice, slice]
@@ -384,15 +376,9 @@ _Part = tuple[slice, slice]
 _Tile = tuple[_Part, _Part, _Part]
 
 
-def _length(span: _Span) -> int:
-    return int(span[0].stop - span[0].start)
-
-
 def _spans(length: int, pieces: int, reach: int, stride: int) -> list[_Span]:
-    """Source, inner and target of each of so many pieces along one axis, as many as there are
-    strides at most."""
+    """Source, inner and target of each of so many pieces along one axis."""
     margin = -(-reach // stride) * stride
-    pieces = min(pieces, length // stride)
     edges = [round(k * (length // stride) / pieces) * stride for k in range(pieces + 1)]
     spans = []
     for first, last in pairwise(edges):

@@ -65,20 +65,14 @@ class SkinSettings(Checked):
         return float(np.exp(np.interp(-wanted, -albedo, np.log(trial))))
 
     def optics(
-        self,
-        channels: Iterable[str],
-        colour: Mapping[str, float] | None = None,
-        scattering: float = 1.0,
+        self, channels: Iterable[str], colour: Mapping[str, float] | None = None
     ) -> dict[str, Diffusion]:
-        """Transfer function of each channel; `scattering`: factor on the assumed scattering.
-        `colour`: each white channel's diffuse brightness over the first's; of several, the
-        absorption follows it.
+        """Transfer function of each channel; `colour`: each white channel's diffuse brightness over
+        the first's; of several, the absorption follows it.
         """
         tint = colour if colour is not None and len(colour) > 1 else {}
         return {
-            name: diffusion(
-                self.scattering(name) * scattering, self.absorption(name, tint.get(name))
-            )
+            name: diffusion(self.scattering(name), self.absorption(name, tint.get(name)))
             for name in channels
         }
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from splitknit.findings import Finding
 from splitknit.imaging.geometry import bounding_box
-from splitknit.imaging.pixels import Window, block_means
+from splitknit.imaging.pixels import Window, bin_mean, block_means
 from splitknit.imaging.view import view_of
 from splitknit.model import Array, BoolArray, Camera, FloatArray, Rig
 from splitknit.networks.unet import load_network, run_network
@@ -84,7 +84,7 @@ class SkinImages:
     def on_pixels(self, field: FloatArray) -> FloatArray:
         """A field of the working grid on the window's pixels."""
         if self.finer:
-            field = coarser(field)
+            field = bin_mean(field, FACTOR)
         if self.binning > 1:
             by = self.binning
             field = np.asarray(cv2.resize(field, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC))
@@ -243,14 +243,6 @@ def finer_images(band: BandImages) -> BandImages:
     for place in np.ndindex(fine.shape[:2]):
         cv2.resize(band.stack[place], shape[::-1], dst=fine[place], interpolation=cv2.INTER_CUBIC)
     return BandImages(band.channels, fine, band.rig)
-
-
-def coarser(field: FloatArray) -> FloatArray:
-    """Mean (h, w) of the 2 x 2 pixels of each pixel of the grid as it was; NaN where one of them
-    is."""
-    height, width = field.shape[0] // FACTOR, field.shape[1] // FACTOR
-    blocks = field.reshape(height, FACTOR, width, FACTOR)
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
 
 
 def _halved(values: Array, axis: int) -> Array:

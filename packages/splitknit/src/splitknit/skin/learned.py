@@ -13,12 +13,7 @@ from splitknit.imaging.chunks import for_each_chunk
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.pixels import bin_mean
 from splitknit.model import BoolArray, FloatArray, Rig
-from splitknit.networks.augmentation import (
-    QUARTER_TURNS,
-    Symmetry,
-    mean_over_orientations,
-    shrinkage_gain,
-)
+from splitknit.networks.augmentation import Symmetry, mean_over_turns, shrinkage_gain
 from splitknit.photometric.equations import length, shading
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import CHANNELS, Diffusion
@@ -208,12 +203,12 @@ _RELIEF_OUTPUT = Symmetry(vectors=((2, 3),), second_harmonics=((4, 5),), third_h
 
 
 def relief_network(
-    network: Network, orientations: Sequence[int], earlier: FloatArray | None = None
+    network: Network, turns: Sequence[int], earlier: FloatArray | None = None
 ) -> Network:
     """The relief network under test-time augmentation; parameters as for
-    :func:`mean_over_orientations`."""
+    :func:`mean_over_turns`."""
     symmetries = RELIEF_SYMMETRY, _RELIEF_OUTPUT
-    return lambda fields: mean_over_orientations(network, fields, symmetries, orientations, earlier)
+    return lambda fields: mean_over_turns(network, fields, symmetries, turns, earlier)
 
 
 _MIN_LIGHTS = 6
@@ -364,10 +359,8 @@ def refined_shape(
     fields = _shape_features(
         images.bands, grid, above_plane(shape.height_mm, images) * grid.mask, optics, ridges
     )
-    symmetries = SHAPE_SYMMETRY, _SLOPES  # over quarter turns: mirroring changes < 1 %
-    slope_x, slope_y = (
-        mean_over_orientations(network, fields, symmetries, QUARTER_TURNS) * SHAPE_SLOPE
-    )
+    symmetries = SHAPE_SYMMETRY, _SLOPES  # mirroring changes < 1 %
+    slope_x, slope_y = mean_over_turns(network, fields, symmetries, range(4)) * SHAPE_SLOPE
     added = integrate(slope_x * grid.mask, slope_y * grid.mask, grid, shape.facing)
     return replace(shape, height_mm=shape.height_mm + added)
 
@@ -405,7 +398,7 @@ SHAPE_SYMMETRY = Symmetry(
 )
 """Symmetry of these fields; the direction across the ridges is given by cosine and sine of twice
 its azimuth. Source: definition."""
-_SLOPES = Symmetry(vectors=((0, 1),), second_harmonics=(), third_harmonics=())
+_SLOPES = Symmetry(vectors=((0, 1),))
 """Symmetry of the shape network's output. Source: definition."""
 
 

@@ -317,7 +317,6 @@ def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatA
     rows = [np.asarray(t[0], dtype=np.float64) for t in measured.transfer]
     transfer = np.stack([np.interp(centres, wx, row) for row in rows])
     signal, specular, noise = fit_spectra(along, across, transfer, glare)
-    signal = _plausible(centres, signal)
     # foreshortened ridges (slant up to 60 deg) have up to twice the frequency; a floor keeps smooth
     # features
     signal = np.array([signal[(centres >= w / 2) & (centres <= w * 1.0001)].max() for w in centres])
@@ -333,23 +332,6 @@ def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatA
     colours = len(measured.channels) > 1
     weights = unmixing_weights(fine_transfer, glare, fine_signal, fine_glare * colours, noise)
     return Unmixing([grid.radial(omega, w) for w in weights], noise)
-
-
-_RIDGE_RANGE_PER_MM = (9.0, 24.0)
-"""Angular frequencies of ridges: periods of 0.70 to 0.26 mm, as seen from above, in rad/mm. Chosen
-on: judgement. Range: 0.7 to 2 times these values (validation/parameters)."""
-
-
-def _plausible(omega: Array, signal: Array) -> Array:
-    """The relief's power `signal` with that above the ridges' own frequency limited to the fall of
-    a ridge's harmonics. Where skin passes next to nothing, errors in the glare's colour look like
-    relief. Slopes of flat ridges with narrow, steep valleys fall off about as one over the
-    frequency; anything rougher is treated as noise.
-    """
-    ridges = np.flatnonzero((omega >= _RIDGE_RANGE_PER_MM[0]) & (omega <= _RIDGE_RANGE_PER_MM[1]))
-    peak = int(ridges[np.argmax(signal[ridges])])
-    limit = signal[peak] * (omega[peak] / omega) ** 2
-    return np.where(omega > omega[peak], np.minimum(signal, limit), signal)
 
 
 def high_pass(grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
@@ -427,24 +409,6 @@ def denoise(
     return clean * grid.mask, deviation
 
 
-def _scattering_sensitivity(
-    measured: Measured,
-    grid: Grid,
-    mix: Unmixing,
-    scattering_more: Mapping[str, Diffusion],
-    relief_mm: FloatArray,
-) -> float:
-    """Relative change of the relief's gain if the skin scattered as `scattering_more` does."""
-    gain = sum(
-        w * (grid.sampled(scattering_more[name]) - t)
-        for w, t, name in zip(mix.weights, measured.transfer, measured.channels, strict=True)
-    )
-    power = np.abs(grid.forward(relief_mm * measured.region)) ** 2
-    return float(
-        (gain * power).sum(dtype=np.float64) / max(float(power.sum(dtype=np.float64)), 1e-30)
-    )
-
-
 # Result of both methods: by network, and by colour.
 
 
@@ -471,22 +435,20 @@ _SEED = 0
 """Seed of the noise that is filtered to measure its spectrum. Source: definition."""
 _COLOUR_MODEL_ERROR = 0.5
 """Error of the relief that is not noise (specular reflection taken for relief, flanks too steep to
-be resolved), over the relief's local rms height. Chosen on: simulated fingers
-(validation/accuracy). Range: none within 0.7 to 1.4 (validation/parameters)."""
+be resolved, skin that scatters otherwise), over the relief's local rms height. Chosen on: simulated
+fingers (validation/accuracy). Range: none within 0.7 to 1.4 (validation/parameters)."""
 
 
 def relief_by_colour(
     measured: Measured,
     grid: Grid,
     smooth_mm: FloatArray,
-    scattering_more: Mapping[str, Diffusion],
     rounds: int,
 ) -> ReliefEstimate:
     """Relief that explains the slopes of all channels behind scattering and specular reflection.
 
     `measured`: of the white band on the fine grid; `smooth_mm`: (h, w) the shape without the
-    relief; `scattering_more`: transfer function of each channel one standard deviation of the
-    scattering away.
+    relief.
     """
     relief = np.zeros(grid.shape, dtype=np.float32)
     for _ in range(rounds * 2):
@@ -494,15 +456,14 @@ def relief_by_colour(
         mix = unmixing(measured, grid, _with_relief(slopes, measured, grid, relief), glare)
         relief = update(measured, grid, slopes, mix, relief)
         relief, noise = denoise(relief, grid, mix, _SEED)
-    sensitivity = abs(_scattering_sensitivity(measured, grid, mix, scattering_more, relief))
     height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), 0.0))
-    model = np.float32(np.hypot(sensitivity, _COLOUR_MODEL_ERROR)) * height
+    model = np.float32(_COLOUR_MODEL_ERROR) * height
     return ReliefEstimate(
         relief_mm=relief,
         deviation_mm=np.sqrt(noise**2 + model**2).astype(np.float32),
         trust=measured.trust,
         albedo=np.sqrt((measured.pseudo_normals[0] ** 2).sum(axis=-1)),
-        facts={"relief_by": "colour", "gain_sensitivity": sensitivity},
+        facts={"relief_by": "colour"},
     )
 
 
