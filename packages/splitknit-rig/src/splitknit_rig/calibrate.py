@@ -25,9 +25,9 @@ from splitknit.settings import Limits
 if TYPE_CHECKING:
     from splitknit_rig.calibration.camera_photos import MeasuredCamera
     from splitknit_rig.calibration.lights_found import CalibratedLights
-    from splitknit_rig.calibration.radiometry import CardCheck, RadiometricCalibration
+    from splitknit_rig.calibration.radiometry import RadiometricCalibration
 else:
-    MeasuredCamera = CalibratedLights = RadiometricCalibration = CardCheck = Any
+    MeasuredCamera = CalibratedLights = RadiometricCalibration = Any
 
 _TARGET = Parameter(group="The printed target ('splitknit rig target' makes it)")
 _SOURCE = Parameter(group="From what (one of them)")
@@ -290,14 +290,13 @@ PercentLimit = Annotated[Positive | None, Parameter("--limit")]
 def calibrate_radiometry(
     folder: AnyPath,
     *,
-    out: AnyPath | None = None,
-    check: AnyPath | None = None,
+    out: AnyPath,
     rig: AnyPath | None = None,
     limit_percent: PercentLimit = None,
     card_height_mm: CardHeight = 0.0,
     card_tilt_deg: CardTilt | None = None,
     progress: Progress = silent,
-) -> RadiometricCalibration | CardCheck:
+) -> RadiometricCalibration:
     """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's
     response.
 
@@ -307,9 +306,6 @@ def calibrate_radiometry(
         Capture folder of a white card under every LED.
     out
         Rig file to write.
-    check
-        Compare with the calibration in this rig file, to within `limit_percent` (default: 3);
-        writes nothing.
     rig
         Rig file with camera and LED places (default: the folder's).
     limit_percent
@@ -322,10 +318,9 @@ def calibrate_radiometry(
 
     Returns
     -------
-    RadiometricCalibration, or CardCheck
+    RadiometricCalibration
         ``rig`` with the lens's fall-off, intensities, beams and aims; ``flat_field``, ``findings``,
-        and ``facts`` as they are in the rig file's provenance. With `check` the ``facts`` and
-        ``findings`` of the comparison.
+        and ``facts`` as they are in the rig file's provenance.
 
     Raises
     ------
@@ -337,29 +332,17 @@ def calibrate_radiometry(
     >>> import splitknit_rig
     >>> splitknit_rig.calibrate_radiometry("card", out="rig.json")  # doctest: +SKIP
     """
-    from splitknit_rig.calibration.radiometry_folder import calibrate_to_file, check_folder
+    from splitknit_rig.calibration.radiometry_folder import calibrate_to_file
 
-    if out is not None and check is None:
-        return calibrate_to_file(
-            Path(folder),
-            Path(out),
-            rig_file=_path(rig),
-            limit_percent=limit_percent,
-            card_height_mm=card_height_mm,
-            card_tilt_deg=card_tilt_deg,
-            progress=progress,
-        )
-    require(
-        out is None and check is not None, "name a rig file to write (`out`), or one to `check`."
-    )
-    assert check is not None
-    refuse_given(
-        "does not go with `check`: the calibration is RIG's; leave it out.",
-        rig=rig,
-        card_height_mm=card_height_mm or None,
+    return calibrate_to_file(
+        Path(folder),
+        Path(out),
+        rig_file=_path(rig),
+        limit_percent=limit_percent,
+        card_height_mm=card_height_mm,
         card_tilt_deg=card_tilt_deg,
+        progress=progress,
     )
-    return check_folder(Path(folder), Path(check), limit_percent=limit_percent, progress=progress)
 
 
 def calibrate_polarisers(

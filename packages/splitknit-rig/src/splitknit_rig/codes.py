@@ -99,13 +99,6 @@ CODES: dict[str, Code] = {
         "Frost it, and look for what shadows the card.",
     ),
     "glossy-card": Code("The card shines.", "Use a matt card."),
-    "moved-led": Code(
-        "An LED lights the card otherwise than at the calibration.", "Calibrate the lights again."
-    ),
-    "drifted-band": Code(
-        "All LEDs of a band are darker or brighter than at the calibration.",
-        "Check exposure, gain, supply, lens and card.",
-    ),
     # calibrate polarisers
     "film-leak": Code(
         "Much of the specular light is left in the crossed image.",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from enrolled import facts_of, refusal_of, words_of
+from enrolled import facts_of, refusal_of
 from small_capture import edit, repaint
 from splitknit.cli.main import main
 from splitknit.io.images import write_image
@@ -99,22 +99,6 @@ def test_the_same_folder_gives_the_same_bytes(card, calibrated, tmp_path):
     assert (tmp_path / "rig.json").read_bytes() == calibrated.read_bytes()
 
 
-def test_a_later_card_names_drifted_leds(card, calibrated, own, capsys):
-    def printed(*words):
-        return words_of(capsys, "calibrate", "radiometry", *words)
-
-    assert "All LEDs are as calibrated, within 3 %." in printed(card, "--check", calibrated)
-    repaint(own / "white_3.png", lambda pixels: (pixels * 0.88).astype(pixels.dtype))
-    before = calibrated.read_bytes()
-    assert "LED white 3 is 12 % darker than" in printed(own, "--check", calibrated)
-    facts = facts_with(capsys, own, "--check", calibrated)
-    assert facts["verdict"] == "drifted"
-    assert facts["leds"][3]["own_ratio"] == pytest.approx(0.88, abs=0.005)
-    lenient = facts_with(capsys, own, "--check", calibrated, "--limit", 15)
-    assert lenient["verdict"] == "as calibrated"
-    assert calibrated.read_bytes() == before
-
-
 @pytest.mark.slow
 def test_srgb_files_that_state_linear_are_refused(tmp_path, capsys):
     folder = tmp_path / "srgb"
@@ -171,18 +155,13 @@ def test_wrong_documents_of_exposures_are_refused(own, tmp_path, capsys, change,
     assert not (tmp_path / "rig.json").exists()
 
 
-def test_options_that_cannot_be_used_are_refused(card, calibrated, tmp_path, capsys):
+def test_options_that_cannot_be_used_are_refused(card, tmp_path, capsys):
     out = tmp_path / "rig.json"
     assert "is not a capture folder" in refusal(capsys, tmp_path, "--out", out)
     assert "does not exist" in refusal(capsys, tmp_path / "none", "--out", out)
     assert "is a folder" in refusal(capsys, card, "--out", tmp_path)
-    assert "no radiometric calibration" in refusal(capsys, card, "--check", card / "rig.json")
-    assert "--card-height-mm does not go with --check" in refusal(
-        capsys, card, "--check", calibrated, "--card-height-mm", 1
-    )
     for words in (
         [],
-        ["--out", out, "--check", calibrated],
         ["--out", out, "--limit", "-1"],
         ["--out", out, "--card-tilt-deg", "1"],
         ["--out", out, "--card-height-mm", "nan"],

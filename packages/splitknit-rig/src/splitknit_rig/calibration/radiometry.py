@@ -15,7 +15,7 @@ import numpy as np
 
 from splitknit import Band, Capture, Rig
 from splitknit.arguments import text_of
-from splitknit.errors import refusing, require
+from splitknit.errors import require
 from splitknit.findings import Finding, Severity, worst_first
 from splitknit.model import Array
 from splitknit.observation.light import FULL_SCALE, Light
@@ -64,9 +64,6 @@ class CardImages:
     # light with all LEDs off, by band, relative to the mean image; None where there is no such
     # image
     ambient_percent: dict[str, float | None]
-    # whether the capture states how long it exposed, so that brightness can be compared with
-    # another day's
-    exposures_given: bool
     brightest: Array  # (L,) 99th percentile of each image's values, as a part of full scale
 
 
@@ -100,7 +97,6 @@ def card_images(capture: Capture, rig: Rig, *, may_be_dark: bool = False) -> Car
             light.name: _ambient_percent(light, lit)
             for light, (_, lit) in zip(lights, cells, strict=True)
         },
-        exposures_given=any(bool((band.exposure != 1.0).any()) for band in bands),
         brightest=np.array([stored[b][k] for b, k in order]),
     )
 
@@ -224,7 +220,6 @@ def fit_radiometry(
             "height_mm": plane.height_mm,
             "tilt_deg": list(plane.tilt_deg),
             "level": rounded(flat.card_level),
-            "exposures_given": images.exposures_given,
             "unevenness_percent": rounded(flat.common_percent),
             "gloss_percent": rounded(flat.gloss_percent),
             "dust_percent": rounded(100 * flat.dust.mean()),
@@ -355,34 +350,6 @@ def rounded(value: float | np.floating) -> float:
     return float(f"{value:.6g}")
 
 
-@dataclass(frozen=True, slots=True)
-class CardCheck:
-    """How a rig's light departs from its calibration."""
-
-    facts: dict[str, Any]
-    """``verdict``; of ``leds`` the ``ratio`` of brightness now to then, the ``own_ratio`` without
-    the median of its band, and the ``pattern_percent``, robust deviation over the picture;
-    ``common_ratio`` of each band, None where exposures are not known; ``ambient_percent``;
-    ``findings``."""
-    findings: tuple[Finding, ...]
-    limit_percent: float
-
-    def __str__(self) -> str:
-        own = [100 * led["own_ratio"] for led in self.facts["leds"]]
-        lines = [
-            f"The LEDs show the card at {min(own):.1f} to {max(own):.1f} % of their calibrated"
-            " brightness."
-        ]
-        if None in self.facts["common_ratio"].values():
-            lines.append(
-                "Only LEDs of one band are compared: the exposures are not known on both days."
-            )
-        lines += [f"Please note: {finding}" for finding in self.findings]
-        if not self.findings:
-            lines.append(f"All LEDs are as calibrated, within {self.limit_percent:g} %.")
-        return text_of(lines)
-
-
 def beside_calibration(
     images: CardImages, rig: Rig, plane: CardPlane
 ) -> tuple[Array, Array, Array]:
@@ -396,71 +363,3 @@ def beside_calibration(
     bands = np.array([led.band for led in rig.leds])
     middles = np.array([np.median(ratio[bands == band]) for band in bands])
     return ratio, ratio / middles, pattern
-
-
-DRIFT_PERCENT = 3.0  # departure of an LED from the calibration
-
-
-def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT) -> CardCheck:
-    """Compare a card with the calibration that a rig carries; BadInput if it carries none, or as
-    :func:`fit_radiometry`.
-    """
-    with refusing(
-        "the rig carries no radiometric calibration to check against; make one with "
-        "'splitknit calibrate radiometry' and check that."
-    ):
-        stored = rig.provenance[PROVENANCE]
-        levels = np.array([float(led["level"]) for led in stored["leds"]])
-        x, y = (float(value) for value in stored["card"]["tilt_deg"])
-        plane = CardPlane(float(stored["card"]["height_mm"]), (x, y))
-        exposures_given = bool(stored["card"]["exposures_given"])
-        assert len(levels) == len(rig.leds) and bool((levels > 0).all())
-    images = card_images(capture, rig)
-    images = replace(images, light=images.light / levels[:, None])
-    ratio, own, pattern = beside_calibration(images, rig, plane)
-    pattern *= 100  # of an LED that moved or turned
-    middle = {led.band: float(ratio[k] / own[k]) for k, led in enumerate(rig.leds)}
-    # else exposure, gain, lens and card are not known to be the same
-    comparable = exposures_given and images.exposures_given
-    findings = _ambient_light(images)
-    leds = []
-    for k, value in enumerate(own):
-        name = led_name(rig.leds, k)
-        if abs(value - 1) > 0.01 * limit_percent:
-            words = f"LED {name} is {_change(float(value))} than at the calibration."
-            findings.append(Finding("drifted-led", words, Severity.DOUBT))
-        if pattern[k] > 1.0:  # robust deviation: the LED has moved or turned
-            words = (
-                f"LED {name} lights the card otherwise than at the calibration ({pattern[k]:.1f} %"
-                " across the picture): it moved or turned."
-            )
-            findings.append(Finding("moved-led", words, Severity.DOUBT))
-        ratios = {
-            "ratio": rounded(ratio[k]),
-            "own_ratio": rounded(value),
-            "pattern_percent": rounded(pattern[k]),
-        }
-        leds.append({"led": k, "name": name, **ratios})
-    for band, value in middle.items():
-        if comparable and abs(value - 1) > 0.01 * limit_percent:
-            words = (
-                f"all {band} LEDs together are {_change(value)} than at the calibration: exposure,"
-                " gain, supply, lens or card changed."
-            )
-            findings.append(Finding("drifted-band", words, Severity.DOUBT))
-    facts = {
-        "verdict": "drifted" if findings else "as calibrated",
-        "leds": leds,
-        "common_ratio": {
-            band: rounded(value) if comparable else None for band, value in middle.items()
-        },
-        "ambient_percent": images.ambient_percent,
-        "findings": [finding.facts for finding in worst_first(findings)],
-        "limit_percent": limit_percent,
-        "inputs": dict(capture.hashes),
-    }
-    return CardCheck(facts, worst_first(findings), limit_percent)
-
-
-def _change(value: float) -> str:
-    return f"{100 * abs(value - 1):.0f} % {'darker' if value < 1 else 'brighter'}"

@@ -1,4 +1,4 @@
-"""A white card's folder in, a calibrated rig file or a verdict out."""
+"""A white card's folder in, a calibrated rig file out."""
 
 from __future__ import annotations
 
@@ -19,12 +19,9 @@ from splitknit.observation.light import FULL_SCALE
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.nail_photos import image_of_size
 from splitknit_rig.calibration.radiometry import (
-    DRIFT_PERCENT,
     MAX_RESIDUAL_PERCENT,
     PROVENANCE,
-    CardCheck,
     RadiometricCalibration,
-    check_card,
     fit_radiometry,
     rounded,
 )
@@ -84,22 +81,6 @@ def base_tilt_deg(rig: Rig) -> tuple[float, float]:
         return 0.0, 0.0
     # a base that is tilted by more than 5 deg is not taken for the card
     return (x, y) if 2.0 * deviation < math.hypot(x, y) <= 5.0 else (0.0, 0.0)
-
-
-def check_folder(
-    folder: Path,
-    rig_file: Path,
-    *,
-    limit_percent: float | None = None,
-    progress: Progress = no_progress,
-) -> CardCheck:
-    """Compare the card in `folder` with the calibration in `rig_file`."""
-    progress("reading", 0.0)
-    rig, capture = read_rig(rig_file), read_capture(folder)
-    progress("comparing", 0.7)
-    return naming(
-        f"{rig_file} and {folder}", lambda: check_card(capture, rig, limit_percent or DRIFT_PERCENT)
-    )
 
 
 # The camera's response, measured on the images that ``radiometry.json`` names.

@@ -19,18 +19,6 @@ def disc(radius: int) -> NDArray[np.uint8]:
     return np.asarray(kernel, dtype=np.uint8)
 
 
-def enlarged_box(
-    cells: tuple[slice, slice], factor: int, small: tuple[int, ...], large: tuple[int, ...]
-) -> tuple[slice, slice]:
-    """Rows and columns of an image that blocks of `factor` pixels cover; the last ones take what
-    fills no block."""
-    ends = [
-        n if c.stop == k else c.stop * factor
-        for c, k, n in zip(cells, small, large[:2], strict=True)
-    ]
-    return slice(cells[0].start * factor, ends[0]), slice(cells[1].start * factor, ends[1])
-
-
 def blanked(image: NDArray[Any], inside: BoolArray, px_per_mm: float) -> NDArray[Any]:
     """The image whose pixels outside `inside` look like the background beside them."""
     if inside.all():

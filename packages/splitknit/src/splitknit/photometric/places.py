@@ -254,32 +254,19 @@ class _Problem:
     def linearised(self, places: Array, shared: Array) -> tuple[Array, Array]:
         """Normal equations (3 L + L + S) of places, lamps and what they share, with robust weights;
         lamps stay empty, as glints do not show their brightness."""
-        residual = self.of_light(places, shared)
-        weight = cauchy(residual, 3.0)
-        by_place = np.stack(
-            [(self.of_light(places + d, shared) - residual) / 1e-3 for d in 1e-3 * np.eye(3)],
-            axis=-1,
-        )
-        steps = 1e-4 * np.eye(len(shared))
-        by_shared = np.stack(
-            [(self.of_light(places, shared + d) - residual) / 1e-4 for d in steps], axis=-1
-        )
-        prior = self.of_shared(shared)
-        of_prior = np.stack([(self.of_shared(shared + d) - prior) / 1e-4 for d in steps], axis=-1)
-        lights, size = len(places), 3 * len(places)
-        first = size + lights
-        normal = np.zeros((first + len(shared), first + len(shared)))
-        for k in range(lights):
-            own = slice(3 * k, 3 * k + 3)
-            normal[own, own] = (weight[k] * by_place[k].T) @ by_place[k]
-        cross = np.einsum("kr,kri,krs->kis", weight, by_place, by_shared).reshape(size, -1)
-        normal[:size, first:] = cross
-        normal[first:, :size] = cross.T
-        normal[first:, first:] = of_prior.T @ of_prior
-        normal[first:, first:] += np.einsum("kr,krs,krt->st", weight, by_shared, by_shared)
-        of_lights = np.einsum("kr,kri,kr->ki", weight, by_place, residual).ravel()
-        of_all = np.einsum("kr,krs,kr->s", weight, by_shared, residual) + of_prior.T @ prior
-        return normal, -np.concatenate([of_lights, np.zeros(lights), of_all])
+        residual, prior = self.of_light(places, shared), self.of_shared(shared)
+        lights, first = np.arange(len(places)), 4 * len(places)
+        slope = np.zeros((*residual.shape, first + len(shared)))
+        of_prior = np.zeros((len(prior), slope.shape[-1]))
+        for k, step in enumerate(1e-3 * np.eye(3)):
+            slope[lights, :, 3 * lights + k] = self.of_light(places + step, shared) - residual
+        slope *= 1e3
+        for k, step in enumerate(1e-4 * np.eye(len(shared)), first):
+            slope[..., k] = 1e4 * (self.of_light(places, shared + step) - residual)
+            of_prior[:, k] = 1e4 * (self.of_shared(shared + step) - prior)
+        rows = np.concatenate([slope.reshape(-1, slope.shape[-1]), of_prior])
+        weighted = rows * np.append(cauchy(residual, 3.0), np.ones(len(prior)))[:, None]
+        return weighted.T @ rows, -weighted.T @ np.append(residual, prior)
 
 
 def plain_ground(
