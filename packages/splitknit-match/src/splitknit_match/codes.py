@@ -18,6 +18,9 @@ CODES: dict[str, Code] = {
         "Give the true resolution (`--resolution-ppi`).",
         "0 of 320 real prints (validation/prints/any_print.py)",
     ),
+    "square-pixels": Code(
+        "Pixels of a print that were not square were made so.", "Nothing; or scan it again."
+    ),
     "white-ridges": Code(
         "The ridges of a print are light, and have been turned dark.",
         "If they are not, say so (`--ridges dark`).",

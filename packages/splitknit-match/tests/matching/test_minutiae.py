@@ -224,7 +224,7 @@ def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch):
 
     monkeypatch.setattr(builtins, "__import__", refusing)
     extractor.cache_clear()
-    with bad_input(r"x86-64 Linux.*method ridge\.$"):
+    with bad_input(r"x86-64 Linux.*method ridge \(GLIBC_2.34 not found\)\.$"):
         extract(np.zeros((90, 90), np.uint8))
     extractor.cache_clear()
 

@@ -49,7 +49,7 @@ VERBS = {
     "export": (MATCH, "write fingers as records, images and meshes that other systems read"),
     "records": (MATCH, "identify a fingerprint record and list its contents"),
     "serve": (MATCH, "serve a gallery over HTTP: enrol, identify, verify, quality"),
-    "batch": (MATCH, "reconstruct and compare a population, or reconstruct many objects"),
+    "batch": (MATCH, "reconstruct and compare a population"),
     "profile": (CORE, "cut a surface between two points, and measure its roughness there"),
     "print": (MATCH, "turn a finger in space into a flat print of 500 pixels per inch"),
 }

@@ -51,6 +51,9 @@ class FilmSettings(Checked):
     kind: Literal["none", "analyser", "leds"] = "none"
     """``none``; ``analyser``: the camera's film turns between the two series; ``leds``: it stays,
     and the crossed series has white LEDs of its own beside the first ones."""
+    axis_deg: Annotated[float, Limits(-180.0, 180.0)] = 0.0
+    """Axis of the LEDs' films of the parallel series as the camera sees it, counter-clockwise from
+    x."""
     misalignment_deg: Annotated[float, Limits(0.0, 10.0)] = 0.0
     """Rotation error of the camera's film; each LED's film is off by a random fraction of it,
     either way."""
@@ -140,10 +143,9 @@ def mounted_films(settings: FilmSettings, leds: Sequence[Led], rng: np.random.Ge
 
     Those before side lights are turned, see :func:`turned_film_rad`.
     """
-    off = np.deg2rad(settings.misalignment_deg)
-    # the parallel series' films have the axis x, as the camera sees it
-    polariser = off * rng.uniform(-1.0, 1.0, (2, len(leds)))
-    analyser = np.full(2, off)
+    off, axis = np.deg2rad(settings.misalignment_deg), np.deg2rad(settings.axis_deg)
+    polariser = axis + off * rng.uniform(-1.0, 1.0, (2, len(leds)))
+    analyser = np.full(2, axis + off)
     if settings.kind == "leds":
         polariser[1] += np.pi / 2
     else:
@@ -152,7 +154,7 @@ def mounted_films(settings: FilmSettings, leds: Sequence[Led], rng: np.random.Ge
     side_axes = {}
     for k in side_lights(leds):
         place = leds[k].position_mm or ()
-        for series, along in enumerate((0.0, np.pi / 2 * (settings.kind == "leds"))):
+        for series, along in enumerate((axis, axis + np.pi / 2 * (settings.kind == "leds"))):
             polariser[series, k] += turned_film_rad(place, along) - along
             side_axes[series, k] = _fields(float(polariser[series, k]), _unit(place))[0]
     direction = rng.uniform(0.0, 2.0 * np.pi)

@@ -69,7 +69,7 @@ class Limits:
     nearly_matt: float = 0.08
     """Misfit of a matt surface, at most: gloss shines where a matt surface faces away. Up to 0.06
     on matt things with light of the room; a satin ring has 0.10, and 0.11 of its light there."""
-    assumed: float = 2.0
+    assumed: float = 1.9
     """Misfit under the encoding that was assumed, sRGB, over that under linear light from which
     photographs are linear: so are 24 of 31 things stored as linear light, metal among them, and
     one (a steel coin) of 31 stored as sRGB (validation/objects, encoding)."""

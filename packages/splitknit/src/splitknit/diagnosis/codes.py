@@ -228,9 +228,6 @@ CODES: dict[str, Code] = {
     "part-left-out": Code(
         "The outline that was found leaves out a part of the object.", "Give a mask (`--mask`)."
     ),
-    "square-pixels": Code(
-        "Pixels of a print that were not square were made so.", "Nothing; or scan it again."
-    ),
     "skipped-files": Code("Files of the folder were not used.", "Look at their names."),
     "turned-photographs": Code(
         "The photographs were turned as their EXIF data say.", "Give lights for them upright."
