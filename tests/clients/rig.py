@@ -24,4 +24,4 @@ def wrong() -> None:
     splitknit_rig.calibrate_camera("boards")  # type: ignore[call-arg]
     splitknit_rig.calibrate_camera("boards", out="rig.json", square=2.0)  # type: ignore[call-arg]
     splitknit_rig.calibrate_lights(images="ball", sphere="brass")  # type: ignore[arg-type]
-    splitknit_rig.calibrate_radiometry("card", out="rig.json").lights  # type: ignore[union-attr]
+    splitknit_rig.calibrate_radiometry("card", out="rig.json").lights  # type: ignore[attr-defined]

@@ -64,8 +64,6 @@ class Limits:
     ambient: float = 0.06
     """Light of places that face away from the lamp, over the full light: up to 0.03 on eleven
     matt things, photographed and rendered, 0.10 to 0.22 with light of the room of 15 %."""
-    away: float = -0.05  # cosine of incidence of such places
-    fewest_away: int = 50  # such values
     nearly_matt: float = 0.08
     """Misfit of a matt surface, at most: gloss shines where a matt surface faces away. Up to 0.06
     on matt things with light of the room; a satin ring has 0.10, and 0.11 of its light there."""
@@ -172,8 +170,8 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
 def _light_everywhere(matt: Explanation, grey: FloatArray, lights: FloatArray) -> list[Finding]:
     """A doubt where a matt object is bright, too, where it faces away from the lamp: no lamp shines
     there, and a fit takes light of the room for a surface that faces the camera."""
-    away = shading(matt.normals, lights) < LIMITS.away
-    if matt.misfit > LIMITS.nearly_matt or away.sum() < LIMITS.fewest_away:
+    away = shading(matt.normals, lights) < -0.05  # cosine of incidence
+    if matt.misfit > LIMITS.nearly_matt or away.sum() < 50:
         return []
     ambient = float(np.median((grey / np.quantile(grey, 0.9, axis=0))[away]))
     if ambient < LIMITS.ambient:

@@ -167,11 +167,7 @@ def _judged_lights(
     band = observation.bands[name]
     white = name == "white"
     try:
-        fit = (
-            white_fit
-            if white and white_fit is not None
-            else _fit(band, observation.material, finger)
-        )
+        fit = (white_fit if white else None) or _fit(band, observation.material, finger)
     except BadInput:
         if white:
             raise

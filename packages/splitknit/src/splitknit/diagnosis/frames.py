@@ -52,10 +52,9 @@ _NO_SURFACE = (
     " order or frame of the lights mends that: heights are wrong; check their directions,"
     " photograph by photograph."
 )
-_SAME_TURN_DEG = 20.0
-"""Max angle between the estimated turn and a frame of the lights for that frame to be named."""
-_SAME_TURN = 2.0 * np.cos(np.deg2rad(_SAME_TURN_DEG))
-"""Trace of the product of two turns that differ by `_SAME_TURN_DEG`. Source: derived."""
+_SAME_TURN = 2.0 * np.cos(np.deg2rad(20.0))
+"""Trace of the product of a frame of the lights and the measured turn from which the frame is
+named: they differ by 20 deg at most."""
 _ONE_LIGHT = 0.03
 """Photographs of a finger that differ by less than this are under one light: 0.13 and more under
 their own. Chosen on: judgement. Range: up to 0.13."""

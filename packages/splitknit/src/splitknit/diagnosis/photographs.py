@@ -323,7 +323,7 @@ class _Comparison:
             )
             return min((misfit(model(*shift)), float(np.hypot(*shift))) for shift in fine)
 
-        sigmas = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
+        sigmas = np.arange(1.0, 6.5, 0.5)
         misfits: dict[Fault, tuple[float, float]] = {
             "moved": best(moved),
             "blurred": min(

@@ -64,10 +64,7 @@ DRIFTED = (
     "{}: its LED is {:.0f} % {} than at the calibration, by this capture; photograph the white card"
     " again (splitknit calibrate radiometry)."
 )
-_TRIED_EXPONENTS = (0.55, 1.8, 9)
-"""Lowest and highest exponent of shading that is tried, and how many in between, in a geometric
-series."""
-_EXPONENTS = np.geomspace(*_TRIED_EXPONENTS)
+_EXPONENTS = np.geomspace(0.55, 1.8, 9)  # of shading, that are tried
 
 
 class ResponseDoubt(NamedTuple):

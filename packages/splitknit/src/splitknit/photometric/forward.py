@@ -122,14 +122,10 @@ def hypotheses(images: FloatArray, lights: FloatArray) -> dict[str, Explanation]
 
 
 def lamp_gains(images: FloatArray, lights: FloatArray) -> FloatArray:
-    """Brightness (L,) of each photograph's lamp over what `lights` state, geometric mean one:
-    of the hypothesis ``unequal``, but from a start at any brightness. Parameters as of
-    :func:`fitted_gloss`."""
-    level = np.quantile(images, 0.9, axis=1)
-    level = np.maximum(level, 1e-6 * level.max() + 1e-12).astype(np.float32)
-    pixels, start = _some_pixels(images / level[:, None], lights)
-    gains = np.log(level) + pixels.solved(start, 20, gains=True).gains
-    return np.asarray(np.exp(gains - gains.mean()))
+    """Brightness (L,) of each photograph's lamp over what `lights` state, geometric mean one, by
+    the hypothesis ``unequal``. Parameters as of :func:`fitted_gloss`."""
+    pixels, start = _some_pixels(images, lights)
+    return np.exp(pixels.solved(start, 20, gains=True).gains)
 
 
 def glossy_fit(images: FloatArray, lights: FloatArray, gloss: Gloss) -> FloatArray:

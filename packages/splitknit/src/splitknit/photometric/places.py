@@ -142,31 +142,31 @@ def fit_places(
     problem = _Problem(balls, seen, px_per_mm, np.array(eye_mm), np.array(eye_sd_mm))
     places, shared = problem.start()
     gains = np.zeros(len(places))  # logarithms
+    size = 4 * len(places)
+    lamps = np.arange(3, size, 4)
     ground_misfit = None
     for _ in range(60):
         normal, right = problem.linearised(places, shared)
         if ground is not None:
             of_ground, of_right, ground_misfit = _of_ground(places, gains, ground)
-            size = len(of_ground)
             normal[:size, :size] += of_ground
             right[:size] += of_right
-        lamps = slice(places.size, places.size + len(gains))
-        normal[lamps, lamps] += np.eye(len(gains)) / _LAMP_SD**2
+        normal[lamps, lamps] += 1.0 / _LAMP_SD**2
         right[lamps] -= gains / _LAMP_SD**2
         diagonal = np.einsum("ii->i", normal)
         diagonal *= 1.0001
         step = np.linalg.solve(normal, right)
         gains = gains + np.clip(step[lamps], -0.2, 0.2)
-        moved = step[: places.size].reshape(places.shape)
+        moved = step[:size].reshape(-1, 4)[:, :3]
         reach = 0.15 * shared[-1]
         length = np.linalg.norm(moved, axis=1, keepdims=True)
         places = places + moved * np.minimum(1.0, reach / np.maximum(length, 1e-12))
         places[:, 2] = np.maximum(places[:, 2], 0.01 * shared[-1])
-        shared = problem.inside(shared + np.clip(step[lamps.stop :], -reach, reach))
+        shared = problem.inside(shared + np.clip(step[size:], -reach, reach))
         if np.abs(moved).max() < 1e-3 * shared[-1]:
             break
-    covariance = np.linalg.inv(normal)[: places.size, : places.size]
-    of_places = np.einsum("kikj->kij", covariance.reshape(len(places), 3, len(places), 3))
+    covariance = np.linalg.inv(normal)[:size, :size].reshape(len(places), 4, len(places), 4)
+    of_places = np.einsum("kikj->kij", covariance[:, :3, :, :3])
     glints = problem.glints(places, shared)
     weight = cauchy(glints, 3.0)
     return LightPlaces(
@@ -252,14 +252,14 @@ class _Problem:
         return np.concatenate(residuals)
 
     def linearised(self, places: Array, shared: Array) -> tuple[Array, Array]:
-        """Normal equations (3 L + L + S) of places, lamps and what they share, with robust weights;
-        lamps stay empty, as glints do not show their brightness."""
+        """Normal equations (4 L + S) of each light's place and lamp and of what lights share, with
+        robust weights; lamps stay empty, as glints do not show their brightness."""
         residual, prior = self.of_light(places, shared), self.of_shared(shared)
         lights, first = np.arange(len(places)), 4 * len(places)
         slope = np.zeros((*residual.shape, first + len(shared)))
         of_prior = np.zeros((len(prior), slope.shape[-1]))
         for k, step in enumerate(1e-3 * np.eye(3)):
-            slope[lights, :, 3 * lights + k] = self.of_light(places + step, shared) - residual
+            slope[lights, :, 4 * lights + k] = self.of_light(places + step, shared) - residual
         slope *= 1e3
         for k, step in enumerate(1e-4 * np.eye(len(shared)), first):
             slope[..., k] = 1e4 * (self.of_light(places, shared + step) - residual)
@@ -405,8 +405,8 @@ def _shading(places: Array, ground: MattGround) -> Array:
 
 
 def _of_ground(places: Array, gains: Array, ground: MattGround) -> tuple[Array, Array, float]:
-    """Normal equations (3 L + L) of places and lamps by the ground's light, the albedo of each
-    point eliminated; and its relative misfit."""
+    """Normal equations (4 L) of each light's place and lamp by the ground's light, the albedo of
+    each point eliminated; and its relative misfit."""
     points = np.column_stack([ground.points_mm, np.zeros(len(ground.points_mm))])
     towards = places[:, None] - points
     square = np.einsum("kpi,kpi->kp", towards, towards)
@@ -432,7 +432,4 @@ def _of_ground(places: Array, gains: Array, ground: MattGround) -> tuple[Array, 
         normal[own, own] += each.T @ each
     right = np.einsum("kpi,kp->ki", slope, residual).ravel()
     right -= by_point @ (column * residual).sum(axis=0)
-    # places first, then lamps
-    order = np.arange(4 * len(places)).reshape(-1, 4)
-    order = np.concatenate([order[:, :3].ravel(), order[:, 3]])
-    return normal[np.ix_(order, order)], right[order], misfit
+    return normal, right, misfit
