@@ -10,7 +10,7 @@ import time
 import numpy as np
 
 from cases import shadow_case
-from splitknit.networks.unet import load_network, run_network, use_device
+from splitknit.networks.unet import load_network, run_network, use_network_threads
 from splitknit.separation.direct import direct_light
 from timing import machine, print_table, race
 
@@ -24,9 +24,9 @@ def main() -> None:
     case = shadow_case()
     grey = case.stack * case.mask
     colours = np.repeat(grey[:, None], 3, axis=1)
-    use_device(threads=1)
+    use_network_threads(1)
     alone = load_network("direct")
-    use_device(threads=2)
+    use_network_threads(2)
     network = load_network("direct")
     facts = network.card.facts
     print(

@@ -17,7 +17,7 @@ import pytest
 from batch_stores import run, tables
 from refusals import bad_input
 from splitknit.cli.main import main
-from splitknit.networks.unet import running
+from splitknit.networks.unet import network_threads
 from splitknit_match.batch import tasks
 from splitknit_match.batch.store import Store
 from splitknit_match.batch.tasks import AHEAD, Done, Workers, connected, run_tasks
@@ -30,7 +30,7 @@ def double(value):
 
 
 def threads_of(value):
-    return Done(running().threads)
+    return Done(network_threads())
 
 
 def die(value):
@@ -83,7 +83,7 @@ def test_workers_are_as_many_as_memory_holds(monkeypatch):
     assert tasks.workers_that_fit() >= 1
     monkeypatch.setattr(tasks, "WORKER_BYTES", 1 << 60)
     assert tasks.workers_that_fit() == 1
-    assert sizes(threads_of, range(3), Workers(3)) == [running().threads] * 3  # in this process
+    assert sizes(threads_of, range(3), Workers(3)) == [network_threads()] * 3  # in this process
 
 
 def test_a_package_that_is_missing_is_named(monkeypatch):
@@ -249,10 +249,10 @@ def test_the_scheduler_is_given_few_tasks_at_a_time(tls):
 
 @pytest.mark.slow
 def test_each_of_several_jobs_runs_networks_on_one_thread():
-    before = running()
+    before = network_threads()
     assert sizes(threads_of, range(4), TWO) == [1] * 4
     assert sizes(threads_of, range(4), HERE) == [before.threads] * 4
-    assert running() == before
+    assert network_threads() == before
 
 
 def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(tls):

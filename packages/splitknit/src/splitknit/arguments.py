@@ -59,7 +59,6 @@ Fraction = Annotated[float, Limits(0.0, 1.0)]
 Positive = Annotated[float, Limits(0.0, above=True)]
 Preset = Literal["metric", "snk", "pr", "ea", "pr-split", "ea-split", "kumar", "zheng", "lin"] | str
 Encoding = Literal["linear", "srgb"]
-Device = Literal["cpu", "cuda", "auto"]
 ResolutionPpi = Annotated[
     float | None,
     Parameter(

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from splitknit.arguments import (
     AnyPath,
-    Device,
     Encoding,
     Preset,
     Progress,
@@ -141,7 +140,6 @@ def reconstruct_to_folder(
     preset: Preset = "metric",
     rig: AnyPath | None = None,
     shape: Literal["nir", "white", "mirror"] | None = None,
-    device: Device = "cpu",
     keep: bool = False,
     strict: bool = False,
     keep_steps: bool = False,
@@ -174,9 +172,6 @@ def reconstruct_to_folder(
     shape
         Where the finger's shape comes from: near-infrared (nir, the default), white light, or its
         outlines in mirrors beside it (mirror).
-    device
-        Where networks run: cpu (the default, always the same bytes), cuda (other last digits; needs
-        onnxruntime-gpu), or auto, cuda where there is one.
     keep
         Go on where photographs that contradict each other spoil the surface of skin.
     strict
@@ -207,7 +202,6 @@ def reconstruct_to_folder(
     from splitknit.io.normal_maps import read_normal_map
     from splitknit.io.paging import one_heap
     from splitknit.io.targets import check_target
-    from splitknit.networks.unet import use_device
     from splitknit.presets import preset_settings
     from splitknit.settings import override
 
@@ -233,7 +227,6 @@ def reconstruct_to_folder(
     # a wrong setting is refused before the images are read
     override(preset_settings(preset), changes)
     check_target(Path(out), "height.npz", "an earlier result", keep=source)
-    device_used = use_device(device)
     with atomic_folder(Path(out)) as target:
         progress("reading", 0.0)
         given = None if normals is None else read_normal_map(normals)
@@ -254,8 +247,6 @@ def reconstruct_to_folder(
                     given=given,
                     y=normals_y,
                 )
-            if device_used != "cpu":  # its last digits are others'
-                result = replace(result, facts={**result.facts, "device": device_used})
             findings = worst_first((*notes, *result.findings))
             if strict:
                 _refuse_doubts(findings)

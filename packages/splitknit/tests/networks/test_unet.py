@@ -1,14 +1,19 @@
 import os
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from refusals import bad_input
-from splitknit.networks.unet import NO_TELEMETRY, load_network, run_network, running, use_device
+from splitknit.networks.unet import (
+    NO_TELEMETRY,
+    load_network,
+    network_threads,
+    run_network,
+    use_network_threads,
+)
 from splitknit.separation.direct import direct_light, exposure_level, local_level
 
 TINY = Path(__file__).parent / "tiny.onnx"
@@ -48,87 +53,6 @@ def test_onnxruntime_imported_with_telemetry_is_refused():
         load_network(TINY)
 
 
-@pytest.fixture
-def offered(network, monkeypatch):
-    """Providers that onnxruntime, which `network` has imported, is made to offer, and those that
-    were asked for; everything runs on the CPU."""
-    import onnxruntime
-
-    there, asked = ["CPUExecutionProvider"], []
-    real = onnxruntime.InferenceSession
-
-    def session(weights, options, providers, enable_fallback):
-        asked.append(providers)
-        on_cpu = real(
-            weights, options, providers=["CPUExecutionProvider"], enable_fallback=enable_fallback
-        )
-        names = [provider if isinstance(provider, str) else provider[0] for provider in providers]
-        return SimpleNamespace(
-            run=on_cpu.run, get_inputs=on_cpu.get_inputs, get_outputs=on_cpu.get_outputs,
-            get_providers=lambda: names[1:] if "broken" in there else names,
-        )  # fmt: skip
-
-    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: there)
-    monkeypatch.setattr(onnxruntime, "InferenceSession", session)
-    yield there, asked
-    use_device()
-
-
-def test_networks_run_on_cuda_where_onnxruntime_offers_it(offered, images):
-    """With a provider that is made up: this says which device is asked for, not that a GPU does the
-    same."""
-    there, asked = offered
-    assert use_device("auto") == running().device == "cpu"
-    before = run_network(load_network(TINY), images)
-    there.insert(0, "CUDAExecutionProvider")
-    assert use_device("auto") == use_device("cuda") == running().device == "cuda"
-    on_cuda = run_network(load_network(TINY), images)
-    (name, options), rest = asked[-1]
-    assert (name, options["use_tf32"], rest) == (
-        "CUDAExecutionProvider",
-        "0",
-        "CPUExecutionProvider",
-    )
-    assert np.abs(on_cuda - before).max() <= 1e-3 * np.abs(before).max()
-    shipped = load_network("relief")
-    use_device()
-    assert load_network("relief") is not shipped
-    assert asked[-1] == ["CPUExecutionProvider"]
-
-
-@pytest.mark.parametrize(
-    ("device", "words"),
-    [
-        ("gpu", "no device 'gpu'"),
-        ("cuda", "onnxruntime offers CPUExecutionProvider only; install onnxruntime-gpu"),
-    ],
-)
-def test_a_device_that_is_not_offered_is_refused(offered, device, words):
-    with bad_input(words):
-        use_device(device)
-
-
-def test_cuda_without_its_libraries_is_refused(offered):
-    offered[0][:0] = ["CUDAExecutionProvider", "broken"]
-    use_device("cuda")
-    with bad_input("cannot start cuda"):
-        load_network(TINY)
-
-
-def test_cuda_agrees_with_the_cpu(network, images):
-    import onnxruntime
-
-    if "CUDAExecutionProvider" not in onnxruntime.get_available_providers():
-        pytest.skip("onnxruntime offers no CUDA here")
-    expected = run_network(network, images)
-    use_device("cuda")
-    try:
-        on_cuda = run_network(load_network(TINY), images)
-    finally:
-        use_device()
-    assert np.abs(on_cuda - expected).max() <= 1e-3 * np.abs(expected).max()
-
-
 @pytest.mark.parametrize("tile", [40, 64, 120])
 def test_the_output_in_tiles_equals_that_in_one_piece(network, images, tile):
     whole = run_network(network, images, tile=4096)
@@ -157,14 +81,15 @@ def test_no_margin_smaller_than_the_reach_would_do(network, images):
 @pytest.mark.parametrize("name", ["direct", "relief", "shape"])
 def test_outputs_have_the_same_bytes_on_one_two_and_four_threads(name):
     outputs = []
+    before = network_threads()
     for threads in (1, 2, 4):
-        use_device(threads=threads)
+        use_network_threads(threads)
         network = load_network(name)
         fields = np.random.default_rng(0).random(
             (1, network.card.channels_in, 203, 150), dtype=np.float32
         )
         outputs.append(run_network(network, fields, tile=96).tobytes())
-    use_device()
+    use_network_threads(before)
     assert outputs[0] == outputs[1] == outputs[2]
 
 

@@ -67,7 +67,6 @@ def run_batch(
     surfaces: bool = True,
     jobs: int = 2,
     scheduler: str | None = None,
-    device: str = "cpu",
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Do what the store lacks; return the facts.
@@ -96,8 +95,6 @@ def run_batch(
     scheduler : str, optional
         Address of a Dask scheduler, whose workers do it instead; they must see both folders under
         the same names.
-    device : str
-        On which networks run, see :func:`splitknit.networks.unet.use_device`.
 
     Raises
     ------
@@ -124,7 +121,7 @@ def run_batch(
         documents = {name: matcher_of(name).document for name in matchers}
         pairs = {"impostors": impostors, "seed": seed}
         store = open_store(folder, captures.sha256, case_documents, documents, pairs)
-        workers = Workers(jobs, client, device)
+        workers = Workers(jobs, client)
         run = _Run(store, captures, impostors, seed, workers, progress)
         facts = {"out": str(out), **_reconstruct(run, cases, surfaces)}
         facts["findings"] = [finding.facts for finding in _findings(facts)]

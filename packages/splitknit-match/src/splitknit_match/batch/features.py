@@ -17,7 +17,7 @@ from splitknit.io.images import decode_image
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.io.provenance import provenance, settings_hash
 from splitknit.methods.photographs import FingerPhotographs
-from splitknit.networks.unet import running
+from splitknit.networks.unet import network_threads
 from splitknit.pipeline import located
 from splitknit.presets import chosen_settings
 from splitknit.reconstruction import surface_of
@@ -61,7 +61,7 @@ def reconstruct_capture(
     name = task.capture.name
     capture, unusable = None, ""
     try:
-        capture = read_capture(population / name, threads=running().threads)
+        capture = read_capture(population / name, threads=network_threads())
     except BadInput as error:
         unusable = str(error).replace(f"{population}/", "")  # the same wherever it lies
         if not isinstance(error, BadExposure):
@@ -81,8 +81,6 @@ def reconstruct_capture(
             "population_sha256": population_sha256,
             "matching_sha256": TEMPLATES["settings_sha256"],
         }
-        if running().device != "cpu":
-            origin["device"] = running().device
         write_table(store / "features" / case.name / f"{name}{SUFFIX}", [row], origin)
     return Done(len(task.cases), failures=tuple(failures))
 

@@ -25,7 +25,7 @@ from splitknit.errors import importing, refusing, require
 from splitknit.files import with_given_folders
 from splitknit.io.paging import one_heap
 from splitknit.io.provenance import provenance
-from splitknit.networks.unet import running, use_device
+from splitknit.networks.unet import network_threads, use_network_threads
 from splitknit.workers import run_jobs
 
 Task = TypeVar("Task")
@@ -51,7 +51,6 @@ class Workers:
 
     jobs: int  # processes of this computer at most, if memory allows; 1: this process
     client: Any = None  # of :func:`connected`, whose workers do the tasks instead
-    device: str = "cpu"  # on which networks run
 
 
 def run_tasks(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> Iterator[Done]:
@@ -66,15 +65,15 @@ def run_tasks(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> Iter
     import cv2
 
     jobs = min(workers.jobs, len(tasks), workers_that_fit())
-    threads, before = cv2.getNumThreads(), running()
+    threads, before = cv2.getNumThreads(), network_threads()
     try:
-        here = before.threads if jobs < 2 else 1
-        job = partial(_in_worker, work, workers.device, here)
+        here = before if jobs < 2 else 1
+        job = partial(_in_worker, work, here)
         for _, done in run_jobs(job, tasks, jobs, "what is finished"):
             yield done
     finally:
         cv2.setNumThreads(threads)
-        use_device(before.device, before.threads)
+        use_network_threads(before)
 
 
 WORKER_BYTES = 1_200_000_000
@@ -90,16 +89,16 @@ def workers_that_fit() -> int:
     return 1024
 
 
-def _in_worker(work: Work[Task], device: str, threads: int, task: Task) -> Done:
+def _in_worker(work: Work[Task], threads: int, task: Task) -> Done:
     """Do a task; as there are as many workers as cores, a second thread would win no time."""
     import cv2
 
     cv2.setNumThreads(1)
-    use_device(device, threads=threads)
+    use_network_threads(threads)
     return work(task)
 
 
-def _in_cluster_worker(work: Work[Task], device: str, version: str, task: Task) -> Done:
+def _in_cluster_worker(work: Work[Task], version: str, task: Task) -> Done:
     """Do a task in a worker of a cluster, which must have the same software."""
     own = provenance()["version"]
     require(
@@ -107,7 +106,7 @@ def _in_cluster_worker(work: Work[Task], device: str, version: str, task: Task) 
         f"a worker of the cluster has splitknit {own}, and this is {version}; use one version.",
     )
     one_heap()  # Dask lets glibc return memory at once, which doubles the processor time
-    return _in_worker(work, device, 1, task)
+    return _in_worker(work, 1, task)
 
 
 PATIENCE_S = 30.0  # how long a cluster is waited for
@@ -184,7 +183,7 @@ def _on_cluster(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> It
     """
     distributed: Any = importlib.import_module("distributed")
     client = workers.client
-    job = partial(_in_cluster_worker, work, workers.device, str(provenance()["version"]))
+    job = partial(_in_cluster_worker, work, str(provenance()["version"]))
     waiting = iter(tasks)
 
     def submitted(count: int) -> list[Any]:

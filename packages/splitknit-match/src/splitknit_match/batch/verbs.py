@@ -12,7 +12,6 @@ from cyclopts import Parameter
 
 from splitknit.arguments import (
     AnyPath,
-    Device,
     Fraction,
     Natural,
     Preset,
@@ -46,7 +45,6 @@ def batch(
     seed: Natural = 0,
     surfaces: Annotated[bool, Parameter(negative="--no-surfaces")] = True,
     jobs: Natural = 2,
-    device: Device = "cpu",
     scheduler: str | None = None,
     progress: Progress = silent,
 ) -> Report:
@@ -75,9 +73,6 @@ def batch(
         --no-surfaces: keep no surfaces, which only the matcher thesis needs: a tenth of the disk.
     jobs
         Processes at most, if memory allows.
-    device
-        Where networks run: cpu (always the same bytes), cuda (other last digits; needs
-        onnxruntime-gpu), or auto, cuda where there is one.
     scheduler
         Dask scheduler tls://HOST:PORT whose workers do it instead.
 
@@ -112,7 +107,6 @@ def batch(
         surfaces=surfaces,
         jobs=jobs,
         scheduler=scheduler,
-        device=device,
         progress=progress,
     )
     return Report(facts, tuple(_batch_lines(facts)))

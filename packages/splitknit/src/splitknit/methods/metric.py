@@ -29,7 +29,7 @@ from splitknit.methods.photometry import (
     slopes_of,
 )
 from splitknit.model import BoolArray, FloatArray
-from splitknit.photometric.forward import Gloss, fitted_gloss
+from splitknit.photometric.forward import Explanation, fitted_gloss
 from splitknit.photometric.near_light import near_light
 from splitknit.plausible import RELIEF
 from splitknit.presets import HeightSettings, NormalsSettings, Parameters, PipelineSettings
@@ -86,9 +86,8 @@ ODD_RELIEF = (
     "and take colour photographs, as grey ones leave glare in the relief"
 )
 GLOSSY = (
-    "the object shines: the photographs fit a lobe of gloss to {:.1f} % and a matt surface to"
-    " {:.1f} %; the lobe is used, one for the whole object, which bends the surface where materials"
-    " differ."
+    "the object shines: a lobe of gloss, one for the whole object, explains the photographs to"
+    " {:.1f} %; it is used, and bends the surface where materials differ."
 )
 NO_WHITE = (
     "the images lit from the side are not used: the skin is too dry or too matt for its specular"
@@ -113,11 +112,11 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
     return FingerSurface(height_mm, relief, shape, albedo, normals, colour, findings=findings)
 
 
-def note_of_gloss(gloss: Gloss | None) -> tuple[Finding, ...]:
+def note_of_gloss(gloss: Explanation | None) -> tuple[Finding, ...]:
     """That a lobe of gloss is part of the model."""
     if gloss is None:
         return ()
-    return (Finding("glossy", GLOSSY.format(100 * gloss.misfit, 100 * gloss.matt_misfit)),)
+    return (Finding("glossy", GLOSSY.format(100 * gloss.misfit)),)
 
 
 WALL_PART = 0.002  # fraction of a surface whose slopes are cut from which it has walls
@@ -572,7 +571,7 @@ def _findings_on(images: SkinImages, surface: SkinSurface) -> tuple[Finding, ...
 
 def near_slopes(
     photographs: FingerBand, p: NormalsSettings, height: HeightSettings
-) -> tuple[Slopes, FloatArray, FloatArray, Gloss | None]:
+) -> tuple[Slopes, FloatArray, FloatArray, Explanation | None]:
     """Slopes, albedo, normals and gloss of one band of an opaque thing: near lights and the surface
     that they reach, in turns."""
     rig, inside = photographs.rig, photographs.inside
@@ -606,7 +605,7 @@ GLOSS_PIXELS = 10_000  # enough for a lobe, and quick
 
 
 @step("normals")
-def gloss_of(photographs: FingerBand, view: View) -> Gloss | None:
+def gloss_of(photographs: FingerBand, view: View) -> Explanation | None:
     """The lobe of a thing that shines, from some of its pixels under white lights; None of a matt
     one."""
     light, inside = photographs.light, photographs.inside

@@ -127,60 +127,23 @@ def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
         return Card(str(document["name"]), str(document["sha256"]), **sizes, facts=document)
 
 
-_DEFAULT_THREADS = min(8, os.cpu_count() or 1)
-"""Threads of a network by default. Source: derived."""
+_threads = min(8, os.cpu_count() or 1)
+"""Threads of a network that this process loads."""
 
 # variable of onnxruntime; ``1`` stops files, look-ups, uploads of telemetry
 NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
 
-DEVICES = ("cpu", "cuda", "auto")
-_CUDA = ("CUDAExecutionProvider", {"use_tf32": "0", "cudnn_conv_algo_search": "DEFAULT"})
-_PROVIDERS: Mapping[str, list[Any]] = {
-    "cpu": ["CPUExecutionProvider"],
-    "cuda": [_CUDA, "CPUExecutionProvider"],
-}
+
+def network_threads() -> int:
+    """Threads of networks that this process loads now."""
+    return _threads
 
 
-@dataclass(frozen=True, slots=True)
-class Running:
-    """How this process runs networks."""
-
-    device: str = "cpu"
-    threads: int = _DEFAULT_THREADS
-
-
-_running = Running()
-
-
-def running() -> Running:
-    """How this process runs networks now: as :func:`use_device` chose."""
-    return _running
-
-
-def use_device(device: str = "cpu", threads: int = _DEFAULT_THREADS) -> str:
-    """Choose how networks of this process are loaded, and so run, from now on.
-
-    Returns ``cpu``, whose results are always the same, whatever the `threads` of a network; or
-    ``cuda``, the same within 1e-3 of the largest value (sums in another order). `device`: one of
-    :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and else ``cpu``. Raises
-    BadInput if there is no such device, or no provider for it.
-
-    >>> use_device("auto") in ("cpu", "cuda")
-    True
-    """
-    global _running  # noqa: PLW0603 - sessions, and where they run, are the whole process's
-    require(device in DEVICES, f"there is no device '{device}'; name one of {', '.join(DEVICES)}.")
-    if device != "cpu":
-        offered = _onnxruntime().get_available_providers()
-        known = "CUDAExecutionProvider" in offered
-        require(
-            known or device == "auto",
-            f"networks cannot run on cuda: onnxruntime offers {', '.join(offered)} only; install "
-            "onnxruntime-gpu in place of onnxruntime, or take `device` cpu.",
-        )
-        device = "cuda" if known else "cpu"
-    _running = Running(device, threads)
-    return device
+def use_network_threads(threads: int) -> None:
+    """Choose the threads of networks that this process loads from now on; results are the same for
+    any number."""
+    global _threads  # noqa: PLW0603 - sessions are the whole process's
+    _threads = threads
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -199,14 +162,14 @@ def load_network(name: str | os.PathLike[str]) -> Network:
     text = os.fspath(name)
     if text.endswith(".onnx"):
         return network_of(*read_network(text))
-    network = _IN_USE.get((text, _running))
+    network = _IN_USE.get((text, _threads))
     if network is None:
-        network = _IN_USE[text, _running] = network_of(*read_network(text))
+        network = _IN_USE[text, _threads] = network_of(*read_network(text))
     return network
 
 
-_IN_USE: WeakValueDictionary[tuple[str, Running], Network] = WeakValueDictionary()
-"""Cache of loaded networks by name and device, held weakly: their 0.3 GB are freed when unused."""
+_IN_USE: WeakValueDictionary[tuple[str, int], Network] = WeakValueDictionary()
+"""Cache of loaded networks by name and threads, held weakly: their 0.3 GB are freed when unused."""
 
 
 def network_of(card: Card, weights: bytes) -> Network:
@@ -224,7 +187,7 @@ def network_of(card: Card, weights: bytes) -> Network:
     options = onnxruntime.SessionOptions()
     # its threads share the values of a result, never the terms of a sum: the same bits for any
     # number of them
-    options.intra_op_num_threads = _running.threads
+    options.intra_op_num_threads = _threads
     options.inter_op_num_threads = 1
     # waiting costs no processor time
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
@@ -234,9 +197,8 @@ def network_of(card: Card, weights: bytes) -> Network:
     options.log_severity_level = 3
     try:
         # without enable_fallback=0 it prints what it could not load, and tries the same once more
-        providers = _PROVIDERS[_running.device]
         session = onnxruntime.InferenceSession(
-            weights, options, providers=providers, enable_fallback=0
+            weights, options, providers=["CPUExecutionProvider"], enable_fallback=0
         )
         (_,), (_,) = session.get_inputs(), session.get_outputs()
     # onnxruntime has a dozen exceptions of its own, without a common base
@@ -245,11 +207,6 @@ def network_of(card: Card, weights: bytes) -> Network:
             f"the weights of network '{card.name}' are not a network from one image to one image "
             f"that onnxruntime can run ({_first_line(error)}); train it again."
         ) from error
-    require(  # it goes on without a provider whose libraries are missing
-        _running.device == "cpu" or "CUDAExecutionProvider" in session.get_providers(),
-        "onnxruntime cannot start cuda on this computer (driver, CUDA or cuDNN are missing or of"
-        " another version); put that right, or take `device` cpu.",
-    )
     return Network(card, session)
 
 

@@ -45,32 +45,21 @@ on DiLiGenT's bear, whose normals come out 0.9 deg nearer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gloss:
-    """The lobe of a surface's gloss."""
-
-    lobe: FloatArray
-    """(K,) logarithm of the brightness at the angles of `_KNOTS`, falling."""
-    misfit: float
-    """Relative (robust) deviation of the photographs from the model."""
-    matt_misfit: float
-    """The same of a matt surface."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
     """A hypothesis, fitted to photographs."""
 
     normals: FloatArray
     """(3, n)."""
     lobe: FloatArray
-    """(K,) as of :class:`Gloss`; zeros of a matt surface."""
+    """(K,) logarithm of the brightness at the angles of `_KNOTS`, falling; zeros of a matt surface.
+    """
     gains: FloatArray
     """(L,) logarithm of the lamps' brightness relative to the stated one, mean zero."""
     misfit: float
     """Relative (robust) deviation of the photographs from the model."""
 
 
-def fitted_gloss(images: FloatArray, lights: FloatArray) -> Gloss | None:
+def fitted_gloss(images: FloatArray, lights: FloatArray) -> Explanation | None:
     """The lobe that explains photographs clearly better than a matt surface does; None where none
     does, or there are fewer than eight lights.
 
@@ -88,8 +77,7 @@ def fitted_gloss(images: FloatArray, lights: FloatArray) -> Gloss | None:
     if matt.misfit < _MATT_MISFIT:
         return None
     glossy = pixels.glossy(start)
-    shines = glossy.misfit < GLOSS_LEAVES * matt.misfit
-    return Gloss(glossy.lobe, glossy.misfit, matt.misfit) if shines else None
+    return glossy if glossy.misfit < GLOSS_LEAVES * matt.misfit else None
 
 
 def matt_misfit(images: FloatArray, lights: FloatArray) -> float:
@@ -128,7 +116,7 @@ def lamp_gains(images: FloatArray, lights: FloatArray) -> FloatArray:
     return np.exp(pixels.solved(start, 20, gains=True).gains)
 
 
-def glossy_fit(images: FloatArray, lights: FloatArray, gloss: Gloss) -> FloatArray:
+def glossy_fit(images: FloatArray, lights: FloatArray, gloss: Explanation) -> FloatArray:
     """Albedo-scaled normals (3, n), as :func:`splitknit.photometric.robust.robust_fit` has them,
     under a known lobe: each pixel from the start, matt or halfway to the brightest light, from
     which it fits better."""
@@ -138,8 +126,7 @@ def glossy_fit(images: FloatArray, lights: FloatArray, gloss: Gloss) -> FloatArr
     candidates = [_unit(g), pixels.brightest_half()]
     residuals = [pixels.left(normals, gloss.lobe) for normals in candidates]
     normals = np.where(residuals[0] <= residuals[1], *candidates)
-    equal = np.zeros(len(images), dtype=np.float32)
-    fit = pixels.solved(Explanation(normals, gloss.lobe, equal, gloss.misfit), 12)
+    fit = pixels.solved(replace(gloss, normals=normals), 12)
     return np.asarray(fit.normals * length(g))
 
 

@@ -20,7 +20,7 @@ from splitknit.photometric.equations import (
     moment_vector,
     surface_by_chunks,
 )
-from splitknit.photometric.forward import Gloss, glossy_fit
+from splitknit.photometric.forward import Explanation, glossy_fit
 from splitknit.photometric.robust import robust_fit
 
 
@@ -54,7 +54,7 @@ def near_light(
     mask: Any = None,
     view: View | None = None,
     *,
-    gloss: Gloss | None = None,
+    gloss: Explanation | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Normals and albedo with a light vector of its own for every pixel, from LED positions and the
     current surface.
@@ -75,7 +75,7 @@ def near_light(
         Where the pixels look, for a window or binned images; the camera's own by default. If it is
         one along the rays, `surface_mm` is the height along them and the normals are those of the
         pixels' own frames (:mod:`splitknit.imaging.view`).
-    gloss : Gloss, optional
+    gloss : Explanation, optional
         Lobe of a surface that shines (:func:`splitknit.photometric.forward.fitted_gloss`); without
         it the surface is matt.
 
