@@ -15,7 +15,7 @@ from splitknit.diagnosis.lights import findings_on_places, with_places_by_ground
 from splitknit.diagnosis.masks import findings_on_mask, findings_on_outline
 from splitknit.diagnosis.photographs import compared_pixels, faulty_photograph, left_out
 from splitknit.diagnosis.relief import findings_on_relief
-from splitknit.diagnosis.response import ENCODING, ResponseDoubt, doubt_of_response
+from splitknit.diagnosis.response import ResponseDoubt, doubt_of_response
 from splitknit.diagnosis.samples import sampled_light
 from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
@@ -181,27 +181,13 @@ def _judged_lights(
         facts[f"light_brightness{suffix}"] = [round(each, 3) for each in fit.brightness]
     doubt = doubt_of_lights(fit, band.image_names, observation.material)
     in_order = fit.frame == "right-up" and fit.in_order
-    strange = fit.strange is not None
-    worse = strange or (
+    worse = fit.strange is not None or (
         doubt is not None and doubt.severity == Severity.SPOILS and not fit.brightness
     )
     if in_order and response is not None and (response.sure or not worse):  # it explains the rest
         return facts, [response.finding] if white and not response.sure else []
-    skin = observation.material == "skin"
-    # light left unexplained from which the other encoding is tried: of linear photographs declared
-    # sRGB 0.07 to 0.1. Range: up to 0.07
-    if skin and in_order and not strange and (doubt is not None or fit.residual > 0.05):
-        encoding = observation.other_encoding
-        # unequal lights stay so, a wrong curve not
-        stored = _fit(band.as_if_stored(encoding), observation.material, finger)
-        explained = doubt is not None and doubt_of_lights(stored, band.image_names) is None
-        if explained or stored.residual < 0.5 * fit.residual:
-            severity = Severity.SPOILS if fit.spoils_skin else Severity.DOUBT
-            doubt = Finding(
-                "other-encoding", ENCODING.format(observation.encoding, encoding), severity
-            )
     # photographs are compared with each other under distant lights alone, which leave less than
     # this unexplained; LEDs beside the finger leave more
-    if doubt is None and skin and fit.residual < 0.15:
+    if doubt is None and observation.material == "skin" and fit.residual < 0.15:
         doubt = faulty_photograph(band, finger)
     return facts, [] if doubt is None else [doubt.of_band(name)]
