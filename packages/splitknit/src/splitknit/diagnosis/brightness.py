@@ -68,9 +68,9 @@ class Limits:
     """Misfit of a matt surface, at most: gloss shines where a matt surface faces away. Up to 0.06
     on matt things with light of the room; a satin ring has 0.10, and 0.11 of its light there."""
     assumed: float = 1.9
-    """Misfit under the encoding that was assumed, sRGB, over that under linear light from which
-    photographs are linear: so are 24 of 31 things stored as linear light, metal among them, and
-    one (a steel coin) of 31 stored as sRGB (validation/objects, encoding)."""
+    """Photographs count as linear light from this ratio of misfits, as sRGB (assumed) over as
+    linear light: with 2.0, 24 of 31 things stored as linear light reach it, metal among them, and
+    1 of 31 stored as sRGB, a steel coin (validation/objects, encoding)."""
     no_equal_lamps: float = 0.1
     """Misfit from which equal lamps explain neither encoding, and those of any brightness are
     compared."""

@@ -251,8 +251,8 @@ def _explained_gains(gram: Array, lights: Array, residual: float) -> Array:
 
 
 _STRANGE = 0.7
-"""A photograph does not belong to the rest where without it less than this fraction of the residual
-is left that would be for one light less: at least 0.99 on simulated, path-traced and polarised
+"""A photograph does not belong to the rest if leaving it out lowers the residual below this part
+of what leaving out any one light would: at least 0.99 on simulated, path-traced and polarised
 fingers, 0.2 to 0.65 where a photograph is noise, turned, a copy of a second one or of a second
 finger. Chosen on: simulated fingers (and path-traced and polarised ones). Range: 0.65 to 0.99."""
 
@@ -537,10 +537,10 @@ def _equalised(gram: Array, lights: Array) -> tuple[Array, Array]:
 
 
 _BETTER = (0.8, 0.6)
-"""Residual in another order over the stated one, from which the order is named: with the
-photographs' brightness free, and of the photographs that change their light. Real objects with
-brightness wrong by 20 % or directions by 2 deg stay above. Chosen on: real photographs (objects,
-with brightness wrong by 20 % or directions by 2 deg)."""
+"""Another order is named if its residual over the stated order's is below both: that of all
+photographs, their brightness free, and that of the photographs whose light changes. Real objects
+with brightness wrong by 20 % or directions by 2 deg stay above. Chosen on: real photographs
+(objects, with brightness wrong by 20 % or directions by 2 deg)."""
 _BETTER_OF_FIVE = (0.4, 0.4)  # the two ratios of `_BETTER` under five lights
 
 

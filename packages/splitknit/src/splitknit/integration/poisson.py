@@ -359,8 +359,8 @@ def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, weights: FloatArray)
 
 def _residual(height: Array, weights: _Edges, targets: _Edges) -> tuple[Array, float]:
     """Half the negative gradient of the energy, the weighted sum of squared residuals of edges; and
-    how far the energy may lie above its minimum: a part of it, or what the precision of the
-    targets, the predicted differences, makes of zero.
+    the tolerated excess of the energy over its minimum: a part of it, plus the rounding error of
+    the targets, the predicted differences.
 
     Differences of neighbouring heights are exact in single precision, differences of their
     Laplacian are not.

@@ -352,8 +352,8 @@ def relief_and_shape(
 ) -> tuple[FloatArray, ReliefEstimate]:
     """Smooth shape (h, w) on the fine grid and the relief on it by networks, each from the other.
 
-    The relief network sees the images on the first shape, upright for the shape network, then in
-    two more orientations for the mean that counts; on the refined shape, only what follows from its
+    The relief network runs on the first shape alone: upright, as input to the shape network, then
+    in two more orientations, averaged with it. On the refined shape only what is computed from its
     output changes. A minimum-mean-square-error estimate shrinks, so its variance is restored. Of a
     crossed series, the last step re-estimates the relief from the images without films; the two
     estimates differ.
@@ -417,9 +417,9 @@ _UNSEEN_MISFIT = 0.06  # where too few photographs show it: that of DiLiGenT's b
 _NOTED_FACTOR = 0.1
 _LARGEST_FACTOR = 0.5
 """Shading that is not matt bends slopes by a factor, whose standard deviation is about the root of
-a matt surface's misfit, up to this: errors of its logarithm over it have an rms of 0.85, 22 of 24
-within two, on DiLiGenT's bear and ball, 14 rendered objects of gloss and metal, and eight matt ones
-(validation/objects)."""
+a matt surface's misfit, up to this. Errors of the factor's logarithm, in units of the stated
+deviation, have an rms of 0.85, 22 of 24 within two, on DiLiGenT's bear and ball, 14 rendered
+objects of gloss and metal, and eight matt ones (validation/objects)."""
 _TILT_OF_FACTOR = 0.1  # deviation of the whole's tilt, in rad, over the factor's
 _LARGEST_TILT = 0.02  # in rad: up to 1.4 deg on the same objects
 FACTOR = (

@@ -1,4 +1,4 @@
-"""Linear light of a band's photographs: the door behind which nobody knows how they are stored."""
+"""Linear light of a band's photographs; code that uses it need not know how they are stored."""
 
 from __future__ import annotations
 

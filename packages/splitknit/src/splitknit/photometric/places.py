@@ -2,10 +2,10 @@
 matt ground reflects, in one fit.
 
 Coordinates are mm, x right, y up, z to the camera; the ground is z = 0, and photographs are seen on
-it. The three kinds of evidence complete each other. Glints on one ball give directions, and their
-heights hang on the ball's radius; glints on two balls give places, up to a factor that the radii
-and the camera's centre share; the ground gives distances, up to a bas-relief. Lights usually sit on
-a dome, which is a prior.
+it. The three kinds of evidence complete each other. Glints on one ball give directions, whose
+elevation depends on the ball's radius; glints on two balls give places, up to a scale that the
+radii and the camera's centre share; the ground gives distances, up to a bas-relief ambiguity.
+Lights usually sit on a dome, which is a prior.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _OF_BLOCKS = 8.0
 to 0.8 deg and bow 0.08 to 0.05 mm of 20 to 8."""
 _FEWEST_POINTS, _FEWEST_LIT = 50, 6  # points that so many lights must light, at least
 _GROUND_REACH = 0.5
-"""Radius of the ground that counts over the picture's shorter side: light that grazes felt far
-from a lamp departs from a matt ground's. Chosen on: a photographed coin, whose middle then lies
+"""Radius of the ground that counts over the picture's shorter side: at grazing incidence, far from
+a lamp, felt is not Lambertian. Chosen on: a photographed coin, whose middle then lies
 0.003 mm off its rim's plane; with the whole picture 0.15 mm and more."""
 _LIKE_GROUND = np.log(3.0)  # brightness of ground over that of most of the picture
 _DARK, _BRIGHT = 0.003, 0.85  # ground that is lit and not clipped

@@ -308,9 +308,9 @@ path-traced fingers."""
 def _ridge_deviation(
     fit: SpecularFit, ridges_mm: FloatArray, information: FloatArray, films: bool
 ) -> FloatArray:
-    """Standard deviation (h, w) of the ridges' heights (h, w): by the covariance of the slopes,
-    which counts over 0.04 mm, and an error of the model that grows with the square of the ridges'
-    slopes, as their blur and the glints between them do; more where the residual is large.
+    """Standard deviation (h, w) of the ridges' heights (h, w): from the covariance of the slopes,
+    taken over 0.04 mm, and a model error that grows with the square of the ridges' slopes, as do
+    their blur and the reflections between them; more where the residual is large.
 
     `information`: (3, h, w) inverse covariance of a slope (xx, xy, yy).
     """
