@@ -37,7 +37,7 @@ from splitknit.errors import BadInput
 from splitknit.folders import read_photographs
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.enrolment import open_enrolment
-from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_float_tiff
+from splitknit.io.images import decode_image, encode_image, read_image, write_float_tiff
 from splitknit.io.light_list import read_intensities, read_light_list
 from splitknit.io.normal_maps import read_mask, read_normal_map
 from splitknit.io.npz import read_npz, write_npz
@@ -259,7 +259,6 @@ def _pixels(path):
     assert image.ndim == 3
     assert image.shape[2] in (1, 3)
     assert image.dtype in (np.uint8, np.uint16)
-    assert image_size(path) == image.shape[:2]
 
 
 @cache

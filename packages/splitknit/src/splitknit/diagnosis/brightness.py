@@ -71,9 +71,6 @@ class Limits:
     """Photographs count as linear light from this ratio of misfits, as sRGB (assumed) over as
     linear light: with 2.0, 24 of 31 things stored as linear light reach it, metal among them, and
     1 of 31 stored as sRGB, a steel coin (validation/objects, encoding)."""
-    no_equal_lamps: float = 0.1
-    """Misfit from which equal lamps explain neither encoding, and those of any brightness are
-    compared."""
 
 
 LIMITS: Final = Limits()
@@ -173,7 +170,7 @@ def _light_everywhere(matt: Explanation, grey: FloatArray, lights: FloatArray) -
     away = shading(matt.normals, lights) < -0.05  # cosine of incidence
     if matt.misfit > LIMITS.nearly_matt or away.sum() < 50:
         return []
-    ambient = float(np.median((grey / np.quantile(grey, 0.9, axis=0))[away]))
+    ambient = float(np.median((grey / np.maximum(np.quantile(grey, 0.9, axis=0), 1e-12))[away]))
     if ambient < LIMITS.ambient:
         return []
     words = (
@@ -229,16 +226,16 @@ def _of_colours(grey: FloatArray, colours: list[FloatArray]) -> Array:
 
 
 def with_encoding(observation: Observation, finger: Finger) -> tuple[Observation, list[Finding]]:
-    """Photographs of an opaque object, decoded as they shade where nobody stated how they are
-    stored; a finding where that changed, or where the object is matt under the other encoding and
-    not under the stated one."""
+    """Photographs decoded as they shade where nobody stated how they are stored; a finding where
+    that changed, or where an opaque object is matt under the other encoding and not under the
+    stated one."""
     white = observation.white
     if white.flattened or white.colours or len(white.lights) <= LEAST_PHOTOGRAPHS:
         return observation, []
     other = observation.as_if_stored(observation.other_encoding)
     (grey, *_), lights = sampled(other.white, finger)
     assumed = white.encoding == "srgb" and white.rig.provenance.get("encoding") == "assumed"
-    asked = grey.shape[1] >= LIMITS.fewest
+    asked = grey.shape[1] >= LIMITS.fewest and (assumed or observation.material == "opaque")
     if not asked or not (assumed or matt_misfit(grey, lights) < LIMITS.matt):
         return observation, []
     as_other = hypotheses(grey, lights)
@@ -249,8 +246,9 @@ def with_encoding(observation: Observation, finger: Finger) -> tuple[Observation
         min(fits["matt"].misfit, fits["glossy"].misfit) for fits in (as_stated, as_other)
     )
     if assumed:
-        if min(stated, least) > LIMITS.no_equal_lamps:
-            stated, least = (fits["unequal"].misfit for fits in (as_stated, as_other))
+        lamps = [fits["unequal"].misfit for fits in (as_stated, as_other)]
+        if min(stated, least) > LIMITS.better * min(lamps):  # they differ
+            stated, least = lamps
         if stated < LIMITS.assumed * least:
             return observation, []
         words = f"{shade} as was assumed, and were read so; state `encoding` if they are not."

@@ -49,9 +49,7 @@ def diagnose(observation: Observation, finger: Finger, *, fit_places: bool = Tru
     """
     skin = observation.material == "skin"
     places: dict[str, Any] = {}
-    before: list[Finding] = []
-    if not skin:
-        observation, before = with_encoding(observation, finger)
+    observation, before = with_encoding(observation, finger)
     if fit_places and not skin:
         observation, places, of_places = with_places_by_ground(observation, finger)
         before += of_places
