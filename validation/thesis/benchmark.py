@@ -5,8 +5,8 @@
     splitknit evaluate --scores DIR/store/csv/*.csv my_scores.csv --out report
 
 ``DIR/people`` holds the captures, ``DIR/prints`` the prints by `metric`, ``DIR/pairs.csv`` what is
-compared, with no score yet, and ``DIR/store/csv`` the score files of the first systems. BENCHMARK.md
-is the card: the protocol, what is simulated, and what it does not prove.
+compared, with no score yet, and ``DIR/store/csv`` the score files of the first systems.
+BENCHMARK.md is the card: the protocol, what is simulated, and what it does not prove.
 """
 
 from __future__ import annotations

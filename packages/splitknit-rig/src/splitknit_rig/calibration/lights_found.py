@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
@@ -69,7 +70,7 @@ class CalibratedLed:
 
 
 @dataclass(frozen=True, eq=False)
-class CalibratedLights:
+class CalibratedLights(ABC):
     """Where the lights of a rig are."""
 
     method: str
@@ -88,9 +89,9 @@ class CalibratedLights:
         findings = [finding.facts for finding in self.findings]
         return plain_json({**document, "findings": findings, "written": self.out is not None})
 
+    @abstractmethod
     def lines(self) -> list[str]:
-        """What the method found, for people."""
-        raise NotImplementedError
+        """What was measured, for people."""
 
     def written_line(self) -> str:
         """The file that was written, or how to have one."""

@@ -69,8 +69,8 @@ class Limits:
     on matt things with light of the room; a satin ring has 0.10, and 0.11 of its light there."""
     assumed: float = 1.9
     """Photographs count as linear light from this ratio of misfits, as sRGB (assumed) over as
-    linear light: with 2.0, 24 of 31 things stored as linear light reach it, metal among them, and
-    1 of 31 stored as sRGB, a steel coin (validation/objects, encoding)."""
+    linear light: 24 of 31 things stored as linear light reach it, metal among them, and 1 of 31
+    stored as sRGB, a steel coin (validation/objects, encoding)."""
 
 
 LIMITS: Final = Limits()
@@ -230,13 +230,15 @@ def with_encoding(observation: Observation, finger: Finger) -> tuple[Observation
     that changed, or where an opaque object is matt under the other encoding and not under the
     stated one."""
     white = observation.white
-    if white.flattened or white.colours or len(white.lights) <= LEAST_PHOTOGRAPHS:
+    assumed = white.encoding == "srgb" and white.rig.provenance.get("encoding") == "assumed"
+    asked = assumed or observation.material == "opaque"
+    comparable = not (white.flattened or white.colours) and len(white.lights) > LEAST_PHOTOGRAPHS
+    if not (asked and comparable):
         return observation, []
     other = observation.as_if_stored(observation.other_encoding)
     (grey, *_), lights = sampled(other.white, finger)
-    assumed = white.encoding == "srgb" and white.rig.provenance.get("encoding") == "assumed"
-    asked = grey.shape[1] >= LIMITS.fewest and (assumed or observation.material == "opaque")
-    if not asked or not (assumed or matt_misfit(grey, lights) < LIMITS.matt):
+    enough = grey.shape[1] >= LIMITS.fewest
+    if not enough or not (assumed or matt_misfit(grey, lights) < LIMITS.matt):
         return observation, []
     as_other = hypotheses(grey, lights)
     (grey, *_), lights = sampled(white, finger)
@@ -251,7 +253,10 @@ def with_encoding(observation: Observation, finger: Finger) -> tuple[Observation
             stated, least = lamps
         if stated < LIMITS.assumed * least:
             return observation, []
-        words = f"{shade} as was assumed, and were read so; state `encoding` if they are not."
+        words = (
+            f"{shade} as was assumed; they were read as {other.white.encoding} (`encoding` changes"
+            " it)."
+        )
         return other, [Finding("assumed-encoding", words)]
     if as_stated["matt"].misfit > LIMITS.curve_leaves:  # else lamps that differ a little look so
         stated = min(stated, as_stated["unequal"].misfit)
