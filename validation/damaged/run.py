@@ -18,10 +18,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit import BadInput, compare, reconstruct
+from splitknit import BadInput, reconstruct
 from splitknit.capture import Capture
 from splitknit.io.csv_table import csv_text
-from splitknit_simulator import simulate_capture
+from splitknit_simulator import compare, simulate_capture
 
 TABLES = Path(__file__).parent / "tables"
 COLUMNS = (

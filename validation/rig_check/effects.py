@@ -38,8 +38,9 @@ from twins import (  # noqa: E402
     twin,
 )
 
-from splitknit import Led, compare, reconstruct  # noqa: E402
+from splitknit import Led, reconstruct  # noqa: E402
 from splitknit.io.csv_table import csv_text  # noqa: E402
+from splitknit_simulator import compare  # noqa: E402
 from splitknit_simulator.rigs import built_rig  # noqa: E402
 from splitknit_simulator.twin import FingerScene, twin_settings  # noqa: E402
 

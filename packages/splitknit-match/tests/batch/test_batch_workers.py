@@ -251,7 +251,7 @@ def test_the_scheduler_is_given_few_tasks_at_a_time(tls):
 def test_each_of_several_jobs_runs_networks_on_one_thread():
     before = network_threads()
     assert sizes(threads_of, range(4), TWO) == [1] * 4
-    assert sizes(threads_of, range(4), HERE) == [before.threads] * 4
+    assert sizes(threads_of, range(4), HERE) == [before] * 4
     assert network_threads() == before
 
 
