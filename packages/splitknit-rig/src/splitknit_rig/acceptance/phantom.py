@@ -1,4 +1,4 @@
-"""Ridges of the printed phantom beside the drawn ones."""
+"""Compares the measured ridges of the printed phantom with the drawn ones."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _UNSEEN = "the phantom's ridges are not seen; lay it tip up on dark ground, in f
 
 
 def ridge_heights(result: Reconstruction) -> tuple[float, float]:
-    """Height of the phantom's ridges over the drawn one (least squares), and the correlation of
-    both, the measured phantom laid on the drawing.
+    """Ratio of the phantom's measured ridge height to the drawn one (least squares), and their
+    correlation, after the measured phantom is aligned with the drawing.
 
-    Raises BadInput where its ridges are not seen.
+    Raises BadInput if no ridges are visible.
     """
     drawn, _ = phantom()
     seen = _on_grid(result)
@@ -70,7 +70,7 @@ def _relief(height_mm: FloatArray, mask: BoolArray) -> FloatArray:
 
 
 def _on_grid(result: Reconstruction) -> FloatArray:
-    """Relief on the drawing's grid, about the middle of the picture."""
+    """Relief resampled on the drawing's grid, centred on the middle of the picture."""
     rows, columns = result.mask.shape
     known = result.mask & np.isfinite(result.height_mm)
     size = [round(length * result.pitch_mm / PITCH_MM) + 1 for length in (rows, columns)]
