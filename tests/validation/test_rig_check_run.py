@@ -15,9 +15,8 @@ FOLDER = Path(__file__).resolve().parents[2] / "validation" / "rig_check"
 
 
 @pytest.mark.slow
-def test_a_sound_twin_and_one_whose_finger_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sound_twin_and_one_whose_finger_moves() -> None:
     with scripts_of(FOLDER) as script:
-        monkeypatch.setattr(script("twins"), "SCALE", 0.15)
         moves = "the finger moves by 0.2 mm"
         run = script("run")
         rows = run.rows_of(100, ["sound", moves])

@@ -1,4 +1,4 @@
-"""``splitknit calibrate``: photographs in, a rig file out."""
+"""``splitknit calibrate``: from photographs to a rig file."""
 
 from __future__ import annotations
 

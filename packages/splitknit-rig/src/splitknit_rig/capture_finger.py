@@ -1,4 +1,4 @@
-"""``splitknit capture``: photograph one finger, or those that an enrolment waits for."""
+"""``splitknit capture``: photograph one finger, or the next fingers of an enrolment."""
 
 from __future__ import annotations
 
@@ -245,7 +245,7 @@ def _opener(
     scale: float | None,
     **of: Any,
 ) -> Opener:
-    """What opens the devices of a rig file; `of`: what the twin photographs."""
+    """Function that opens the devices of a rig file; `of`: what the twin photographs."""
     from splitknit import read_rig
     from splitknit_rig.capture.openers import opener_of
 
@@ -269,7 +269,7 @@ def _lit(opener: Opener, name: str | None, seconds: float) -> Report:
 
 
 def _previewed(opener: Opener, name: str | None, seconds: float, out: AnyPath | None) -> Report:
-    """State the sharpness under one LED for a time."""
+    """Report the sharpness under one LED for a time."""
     from splitknit_rig.calibration.written import check_picture
     from splitknit_rig.capture.preview import look_again
 

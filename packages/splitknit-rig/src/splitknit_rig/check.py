@@ -24,12 +24,12 @@ _FOLDERS = Parameter(group="Photographs (capture folders), where no device takes
 
 @dataclass(frozen=True, slots=True)
 class RigCheck:
-    """What the acceptance test found."""
+    """Result of the acceptance test."""
 
     answers: tuple[Answer, ...]
     """A row for each question: ``question``, ``measured``, ``limit``, ``unit``, ``passed``,
-    ``at_least`` (whether the limit is the smallest value that passes), and ``note``: where, or why
-    nothing was measured."""
+    ``at_least`` (whether the limit is the smallest value that passes), and ``note``: the LED or
+    band, or the reason why nothing was measured."""
     facts: dict[str, Any]
     """``answer``: passed or failed; ``rows``, ``rig``, ``ball_mm``, ``tested_at``, and hashes of
     all files."""
@@ -92,8 +92,8 @@ def check_rig(
     ball_mm: Positive = 16.0,
     progress: Progress = silent,
 ) -> RigCheck:
-    """Test a rig that was built and calibrated: a matt card, a printed phantom, a ball and a finger
-    pass or fail, with number and limit for each question.
+    """Test a built and calibrated rig with a matt card, a printed phantom, a ball and a finger: for
+    each question a number, its limit, and whether it passed.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What each code of a finding of the rig's verbs means, and what to do."""
+"""Meaning and remedy of each code of a finding of the rig's verbs."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ CODES: dict[str, Code] = {
         "Photograph the board flat on the finger plane (`--plane`).",
     ),
     "oblique-camera": Code(
-        "The camera looks on the base obliquely.",
+        "The camera is tilted against the base.",
         "Straighten the camera, or put something thin under the base.",
     ),
     "planes-disagree": Code(
         "The photographs of the finger plane disagree.", "Lay the print flat; measure its squares."
     ),
     "uneven-print": Code(
-        "Marks on the finger plane miss their places.", "Use a flat print; check `--board`."
+        "Marks on the finger plane do not fit the print.", "Use a flat print; check `--board`."
     ),
     # calibrate lights
     "one-nail-position": Code(
-        "The nail stood in one place only, so that nothing checks the directions.",
+        "The nail stood in one place only, so the directions are unchecked.",
         "Photograph it in a second place.",
     ),
     "stray-tips": Code(
-        "Shadow tips lie far from where all others put them, and got little weight.",
+        "Shadow tips that contradict all others were given little weight.",
         "Correct their pixels.",
     ),
     "one-band": Code("The table has LEDs of one band only.", "Add the rows of the other."),
@@ -60,19 +60,19 @@ CODES: dict[str, Code] = {
         "A shadow of the nail leaves the picture.", "Use a shorter nail or move it to the middle."
     ),
     "unchecked-mask": Code(
-        "The ball's rim is not found near its outline, so that nothing checks it.",
-        "See that the outline ends at the rim.",
+        "The ball's rim was not found near its outline, which is unchecked.",
+        "Check that the outline follows the rim.",
     ),
     "corrected-mask": Code(
         "A ball's outline lies beside its rim; the rim was used.", "Correct the outline."
     ),
     "found-ball": Code(
-        "No outline was given, and the largest round thing is taken for the ball.",
-        "Give the ball's outline (`--ball`) where that is another thing.",
+        "No outline was given; the largest round object is taken for the ball.",
+        "If it is another object, give the ball's outline (`--ball`).",
     ),
     "uncertain-distances": Code(
-        "The glints leave the lights' distances open; directions were written.",
-        "Outline a second ball, or let the ground count (`--ground`).",
+        "The glints do not determine the lights' distances; directions were written.",
+        "Outline a second ball, or use matt ground (`--ground`).",
     ),
     "glints-disagree": Code(
         "The glints on the balls do not fit one place for each light.",
@@ -91,17 +91,17 @@ CODES: dict[str, Code] = {
     ),
     # calibrate radiometry
     "no-ambient-image": Code(
-        "There is no ambient image: other light and the black level counted as the LEDs'.",
+        "There is no ambient image: ambient light and black level count as the LEDs' light.",
         "Take one with all LEDs off.",
     ),
     "uneven-beam": Code(
-        "An LED departs from the model of its light.",
-        "Frost it, and look for what shadows the card.",
+        "An LED's light does not fit the model of a beam.",
+        "Frost the LED, and look for what shadows the card.",
     ),
-    "glossy-card": Code("The card shines.", "Use a matt card."),
+    "glossy-card": Code("The card is glossy.", "Use a matt card."),
     # calibrate polarisers
     "film-leak": Code(
-        "Much of the specular light is left in the crossed image.",
+        "Much specular light remains in the crossed image.",
         "Turn the LED's film or the analyser.",
     ),
     # capture
@@ -112,5 +112,5 @@ CODES: dict[str, Code] = {
     "untested-camera": Code("The camera was not tested on hardware.", "Look at the first frames."),
     "simulated-target": Code("The twin photographed a target, not a finger.", "Nothing."),
 }
-"""Codes that the core has too, such as ``ambient-light``, stand in
+"""Codes that the core also uses, such as ``ambient-light``, are in
 :data:`splitknit.diagnosis.codes.CODES`."""

@@ -1,1 +1,2 @@
-"""The acceptance test of a rig: what a card, a ball and a finger show, one question a row."""
+"""The acceptance test of a rig: what a card, a phantom, a ball and a finger show, one row per
+question."""

@@ -1,4 +1,4 @@
-"""What the acceptance test asks of a rig: its photographs, read from folders or taken in turn."""
+"""Photographs for the acceptance test, read from folders or taken one after the other."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ PARTS = ("card", "phantom", "ball", "finger_1", "finger_2")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Photographs:
-    """All that a rig is judged by."""
+    """All photographs by which a rig is judged."""
 
     card: Taken
     phantom: Taken
     ball: Taken
     finger: tuple[Taken, Taken]
     series: tuple[Array, Array]
-    """Values (J, N) of the card at J exposures, parts of full scale, and time times gain (J,); no
-    values where the card's photographs cannot be used."""
+    """Values (J, N) of the card at J exposures, as fractions of full scale, and time times gain
+    (J,); empty if the card's photographs cannot be used."""
 
 
 def read_photographs(folders: Mapping[str, Path], rig: Rig) -> tuple[Photographs, dict[str, str]]:
-    """Read the capture folders of `PARTS`, and hashes of their files; BadInput where one is none,
-    or of another camera."""
+    """Read the capture folders of `PARTS`, and hashes of their files. Raises BadInput if a folder
+    is not a capture, or comes from another camera."""
     captures: dict[str, Taken] = {}
     hashes: dict[str, str] = {}
     for part, folder in folders.items():
@@ -84,7 +84,7 @@ def read_photographs(folders: Mapping[str, Path], rig: Rig) -> tuple[Photographs
 
 
 def _parallel(capture: Taken) -> Taken:
-    """Without the crossed series of the LEDs that light the parallel one."""
+    """The capture without the crossed series of the same LEDs as the parallel one."""
     if not isinstance(capture, Capture):
         return capture
     bands = dict(capture.bands)
@@ -111,7 +111,7 @@ def take_photographs(
     openers: Mapping[str, Opener], out: Path, lay: Callable[[str], None], progress: Progress
 ) -> dict[str, Path]:
     """Photograph card, phantom, ball and finger into folders of `out`; `lay` asks for each. The
-    finger stays where it is between its two captures. BadInput where nothing can be captured."""
+    finger stays in place between its two captures. Raises BadInput if nothing can be captured."""
     for number, (part, opener) in enumerate(openers.items()):
         lay(part)
         find = part == "finger"

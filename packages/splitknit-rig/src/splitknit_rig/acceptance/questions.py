@@ -1,15 +1,15 @@
-"""The questions of the acceptance test, each a function of photographs that gives rows: what was
-measured, its limit, whether it passed.
+"""The questions of the acceptance test. Each is a function of photographs and returns rows: what
+was measured, the limit, and whether it passed.
 
-A question whose photographs cannot be used fails, and its row gives the reason: a black image
-under a dead LED is an answer. What is no capture at all was refused before, where it was read.
+A question whose photographs cannot be used fails, and its row gives the reason: a black image under
+a dead LED is an answer. Folders that are not captures were refused when they were read.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -22,7 +22,6 @@ from splitknit import BadInput, Capture, Reconstruction, Rig, reconstruct
 from splitknit.errors import require
 from splitknit.findings import Severity
 from splitknit.finger.motion import shot_motion
-from splitknit.finger.regions import reduce_image, reduce_mask
 from splitknit.imaging.geometry import (
     BAND_SIGMA_MM,
     EROSION_MM,
@@ -41,7 +40,6 @@ from splitknit_rig.calibration.lights import led_name, listed
 from splitknit_rig.calibration.radiometry import CardImages, beside_calibration, card_images
 from splitknit_rig.calibration.sensor import fit_response
 from splitknit_rig.calibration.sphere import find_ball, grey_directions, rim_of, smear_px
-from splitknit_rig.capture.exposure import measure_focus
 from splitknit_rig.capture.shots import MAX_CROSSED, SHINE_PERCENTILE
 
 
@@ -60,65 +58,64 @@ class Question:
 # finger's surface and 5 % to the error of its ridges, except motion and focus
 # (validation/rig_check, effects.csv).
 DARK = Question("dark level", 1.0, "% of full scale")
-"""After the black level that the capture states; an ambient frame takes it off. Chosen on:
-judgement, checked on simulated fingers (effects.csv). Range: up to 2, with ambient frames."""
+"""Beyond the black level that the capture states; subtracting an ambient frame removes it. Chosen
+on: judgement, checked on simulated fingers (effects.csv). Range: up to 2, with ambient frames."""
 LINEAR = Question("linearity", 0.5, "% of full scale")
 """1 % adds 0.03 to 0.11 mm rms to a finger's surface and up to 5 % to the error of its ridges; the
 sound twins have 0.03 %. Chosen on: simulated fingers (effects.csv). Range: at 2 up to 0.24 mm."""
 LIT = Question("LEDs that do not light", 0.0, "LEDs")
 SPECKS = Question("specks on sensor, lens or card", 3.0, "specks")
-"""Places darker, or stuck pixels brighter, by `_SPECK` than their surroundings in the mean of all
-images. What all images share is no slope of the surface, so that few do no harm."""
+"""Places that are darker than their surroundings by `_SPECK` in the mean of all images, or stuck
+pixels that are brighter by as much. A factor common to all images does not change the measured
+slope, so a few specks do no harm."""
 _SPECK = 0.03  # of the light around it; the card's calibration leaves out what departs by 0.02
 EXPOSED = Question("darkest card", 25.0, "% of full scale", at_least=True)
-"""99th percentile. A finger exposed so has up to 2 % more error in its ridges. Chosen on:
-judgement, checked on simulated fingers (effects.csv). Range: at 12.5 up to 3 %."""
+"""99th percentile. At the limit, ridges have up to 2 % more error. Chosen on: judgement, checked on
+simulated fingers (effects.csv). Range: at 12.5 up to 3 %."""
 BRIGHT = Question("brightness by light", 3.0, "% off the rig file")
 """Relative to the LED's band. One LED at the limit adds 0.03 to 0.08 mm rms to a finger's surface
 and 2 % to the error of its ridges. Chosen on: judgement, checked on simulated fingers
 (effects.csv). Range: at 6 up to 0.19 mm."""
 BEAM = Question("light across the card", 1.0, "% off the rig file")
-"""Robust deviation. One LED at the limit, tilted by 1.7 deg, adds 0.01 mm rms to a finger's
-surface. Chosen on: judgement, checked on simulated fingers (effects.csv). Range: up to 2 the
-same."""
+"""Robust standard deviation. One LED at the limit, which is tilted by 1.7 deg, adds 0.01 mm rms to
+a finger's surface. Chosen on: judgement, checked on simulated fingers (effects.csv). Range: the
+same up to 2."""
 FLAT = Question("flatness of the card", 1.0, "deg rms")
 LEAK = Question("light leaks", 1.0, "% of an LED's light")
-"""With all LEDs off. An LED that leaks so adds up to 0.02 mm rms to a finger's surface. Chosen on:
-judgement, checked on simulated fingers (effects.csv). Range: at 2 up to 0.04 mm."""
+"""With all LEDs off. An LED that leaks as much adds up to 0.02 mm rms to a finger's surface. Chosen
+on: judgement, checked on simulated fingers (effects.csv). Range: at 2 up to 0.04 mm."""
 RIDGES = Question("ridges of the phantom", 0.9, "correlation", at_least=True)
-"""With the drawn ones, where a pixel is 0.07 mm or less; the sound twin has 0.97. Chosen on:
-simulated phantom (validation/rig_check)."""
+"""Correlation with the drawn ridges, for pixels of 0.07 mm or less; the sound twin has 0.97. Chosen
+on: simulated phantom (validation/rig_check)."""
+SHARP = Question("ridges of the phantom, fine over coarse", 0.81, "of the height", at_least=True)
+"""The lens's blur, where a pixel is 0.07 mm or less: rigs in focus at f/2 have 0.84 to 0.86, rigs
+that are 6 mm out of focus 0.76, which adds 19 to 33 % to the error of a finger's ridges; 3 mm cost
+nothing. A print 20 % too low lowers it by 0.014. Chosen on: simulated phantom
+(validation/rig_check, seeds 100 and 101): the middle of both."""
 RADIUS = Question("radius of the ball", 2.0, "% off the true one")
-"""The finger's lengths err as much, its heights by 0.01 mm rms. Chosen on: judgement, checked on
-simulated fingers (effects.csv)."""
+"""The finger's lengths have the same relative error, its heights 0.01 mm rms. Chosen on: judgement,
+checked on simulated fingers (effects.csv)."""
 ORDER = Question("LEDs out of order", 0.0, "LEDs")
 AIMED = Question("direction of each LED", 0.6, "deg off the rig file")
-"""Without the turn of all. A calibration leaves 0.12 deg each way, so that one of 14 LEDs lies 0.6
-off once in 20,000 rigs; 2 mm are 0.8. One LED 1 deg off adds up to 0.03 mm rms to a finger's
-surface (effects.csv)."""
+"""After the common rotation of all LEDs is removed. Calibration leaves 0.12 deg per axis, so in one
+of 20,000 rigs an LED of the 14 exceeds 0.6; an LED 2 mm off its place deviates by 0.8. One LED 1
+deg off adds up to 0.03 mm rms to a finger's surface (effects.csv)."""
 TURNED = Question("turn of all LEDs together", 0.5, "deg")
-"""Calibrated LEDs leave 0.09 deg, and the limit is five of these deviations. A finger hardly
-changes: at 2 deg by less than 0.01 mm rms (effects.csv)."""
+"""Calibration leaves a standard deviation of 0.09 deg; the limit is five times that. A finger's
+surface hardly changes: at 2 deg by less than 0.01 mm rms (effects.csv)."""
 SMEAR = Question("smear of every shot", 0.08, "mm")
-"""Path of a straight motion during the exposure: it leaves sinc(0.08 / 0.45) = 0.95 of ridges 0.45
-mm apart that lie across it."""
+"""Length of a straight motion during the exposure: at the limit, ridges 0.45 mm apart that lie
+across it keep sinc(0.08 / 0.45) = 0.95 of their contrast."""
 REPEAT = Question("repeatability of the finger", 0.9, "correlation", at_least=True)
-"""Of the ridges. The five sound twins that it was chosen on have 0.98 or more, twenty others 0.91
-or more. Chosen on: simulated fingers (validation/rig_check, seeds 100 to 104)."""
+"""Correlation of the ridges of two captures. Thirty sound twins have 0.95 or more. Chosen on:
+simulated fingers (validation/rig_check, seeds 100 to 104)."""
 FLICKER = Question("flicker", 3.0, "% from one shot to the next")
-"""An LED's brightness in the two captures, relative to its band, over rows of the finger: as far as
-a steady LED may be off the rig file."""
+"""Change of an LED's brightness between the two captures, relative to its band, in strips of rows.
+The limit is that of a steady LED's deviation from the rig file."""
 STILL = Question("motion of the finger", 0.13, "mm")
-"""Between the shots, as a capture allows. It costs more than any other limit: 39 to 55 % more error
-in the ridges. The sound twins have 0.04. Chosen on: judgement, checked on simulated fingers
-(effects.csv). Range: at 0.26 up to 150 %."""
-NEAR = Question("focus, top of the finger", 1.2, "% of the light", at_least=True)
-"""Sharpness (see `measure_focus`) at `_FOCUS_PX_PER_MM`. The sound twins that it was chosen on have
-1.4 to 4.2; one that is 6 mm out of focus at f/2 has 1.0 to 1.15, and 19 to 33 % more error in its
-ridges; 3 mm cost nothing. Chosen on: simulated fingers (validation/rig_check, seeds 100 to 104,
-effects.csv)."""
-_FOCUS_DEPTH_MM = 3.0  # below the finger's highest point
-FAR = replace(NEAR, words=f"focus, {_FOCUS_DEPTH_MM:g} mm below it")
+"""Between the shots; a capture has the same limit. It costs more than any other limit: 39 to 55 %
+more error in the ridges. The sound twins have 0.04. Chosen on: judgement, checked on simulated
+fingers (effects.csv). Range: at 0.26 up to 150 %."""
 FILMS = Question("crossed films, where the finger shines", 100 * MAX_CROSSED, "% of parallel light")
 
 
@@ -128,18 +125,18 @@ class Answer:
 
     question: str
     measured: float | None
-    """None where the photographs could not be used; `note` says why."""
+    """None if the photographs could not be used; `note` gives the reason."""
     limit: float
     unit: str
     passed: bool
     at_least: bool = False
     """Whether the limit is the smallest value that passes, not the largest."""
     note: str = ""
-    """The LED or band that was measured, or why nothing was."""
+    """The LED or band that was measured, or the reason why nothing was."""
 
 
 Taken = Capture | BadInput
-"""A capture, or why its photographs cannot be used."""
+"""A capture, or the reason why its photographs cannot be used."""
 
 
 def _used(capture: Taken) -> Capture:
@@ -162,7 +159,8 @@ def _answer(question: Question, measured: float | None, note: str = "") -> Answe
 
 
 def _asked(questions: Sequence[Question], ask: Callable[[], Iterable[Answer]]) -> list[Answer]:
-    """The answers, or one for each question with the reason why there are none."""
+    """The answers; if the photographs cannot be used, one failed answer per question, with the
+    reason."""
     try:
         return list(ask())
     except BadInput as error:
@@ -175,8 +173,8 @@ def _asked(questions: Sequence[Question], ask: Callable[[], Iterable[Answer]]) -
 def answers_of_sensor(card: Taken, values: Any, exposure: Any) -> list[Answer]:
     """Dark level and linearity by an exposure series of a card.
 
-    `values` (J, N) of N places at J exposures, as parts of full scale, NaN clipped; `exposure`
-    (J,) time times gain.
+    `values` (J, N): N places at J exposures, as fractions of full scale, NaN where clipped;
+    `exposure` (J,): time times gain.
     """
 
     def dark() -> Iterator[Answer]:
@@ -198,7 +196,7 @@ def answers_of_sensor(card: Taken, values: Any, exposure: Any) -> list[Answer]:
 
 
 def answers_of_card(card: Taken, rig: Rig, plane: CardPlane) -> list[Answer]:
-    """What a white matt card under every LED shows of a rig and its file."""
+    """Compare a white matt card under every LED with the rig file."""
 
     def ask() -> Iterator[Answer]:
         images = card_images(_used(card), rig, may_be_dark=True)
@@ -229,7 +227,7 @@ _UNLIT = 0.12  # of its band's light, as a capture session has it
 
 
 def _specks(card: Capture, px_per_mm: float) -> tuple[float, str]:
-    """How many specks a card shows in all images, and where the strongest is."""
+    """Number of specks that all images of the card share, and the place of the strongest."""
     stack = np.concatenate([light.grey for light in observe(card).bands.values()])
     flat = stack.mean(axis=0)
     departure = cv2.GaussianBlur(flat / wide_blur(flat, px_per_mm), (0, 0), 0.7) - 1.0
@@ -257,7 +255,7 @@ def _beyond(values: Any, limit: float, rig: Rig) -> str:
 
 
 def _slope_deg(images: CardImages, rig: Rig, plane: CardPlane, own: Array, band: str) -> float:
-    """Angle (rms, deg) between the card and the normals that a band's LEDs show on it."""
+    """Angle (rms, deg) between the card's normal and the normals measured with a band's LEDs."""
     leds = _members(rig, band)
     leds = leds[own[leds] > _UNLIT]
     points = plane.points(rig.camera, images.pixels)
@@ -273,7 +271,7 @@ def _slope_deg(images: CardImages, rig: Rig, plane: CardPlane, own: Array, band:
 
 
 def _leak(light: Light) -> float:
-    """Light with all LEDs off, over that of the band's LEDs."""
+    """Light with all LEDs off, relative to that of the band's LEDs."""
     dark = light.at(2).ambient
     require(dark is not None, f"the band {light.name} has no image with all LEDs off.")
     assert dark is not None
@@ -284,22 +282,23 @@ def _leak(light: Light) -> float:
 
 
 def answers_of_phantom(capture: Taken) -> list[Answer]:
-    """What the printed phantom shows of ridges, by the surface that the default method finds."""
+    """Ridges of the printed phantom, as the default method measures them."""
 
     def ask() -> Iterator[Answer]:
         result = reconstruct(_used(capture), "metric", {"keep": True})
-        height, likeness = ridge_heights(result)
+        height, likeness, fine = ridge_heights(result)
         yield _answer(RIDGES, likeness, f"{100 * height:.0f} % of the height drawn")
+        yield _answer(SHARP, fine)
 
-    return _asked([RIDGES], ask)
+    return _asked([RIDGES, SHARP], ask)
 
 
 # The ball.
 
 
 def answers_of_ball(capture: Taken, rig: Rig, diameter_mm: float) -> list[Answer]:
-    """What a matt grey ball on the finger plane, under every LED, shows of the lens and the LEDs'
-    places."""
+    """Scale, smear and light directions, from a matt grey ball on the finger plane under every
+    LED."""
 
     def ask() -> Iterator[Answer]:
         ball = _used(capture)
@@ -348,24 +347,18 @@ def answers_of_ball(capture: Taken, rig: Rig, diameter_mm: float) -> list[Answer
 
 
 # The finger, photographed twice while it lies still.
-_FOCUS_PX_PER_MM = 15.0
-"""Finer pictures are reduced to this, so that the sharpness of all cameras can be compared. Chosen
-on: simulated fingers (validation/rig_check)."""
 
 
 def answers_of_finger(*captures: Taken) -> list[Answer]:
-    """What two captures of one finger show, and their surfaces by `ea`, which shows what the
-    photographs show, without a model of skin."""
+    """Repeatability, flicker and motion, from two captures of one finger. Surfaces are those of
+    `ea`, which uses no model of skin, and motion, which has its own question, is not undone:
+    resampling images of a finger that lay still costs repeatability."""
     results: list[Reconstruction] = []
 
     def ask() -> Iterator[Answer]:
-        results.extend(reconstruct(_used(taken), "ea", {"keep": True}) for taken in captures)
-        yield from (
-            _asked([REPEAT], again)
-            + _asked([FLICKER], flicker)
-            + _asked([STILL], still)
-            + _asked([NEAR, FAR], focus)
-        )
+        settings = {"keep": True, "motion.correct": "off"}
+        results.extend(reconstruct(_used(taken), "ea", settings) for taken in captures)
+        yield from (_asked([REPEAT], again) + _asked([FLICKER], flicker) + _asked([STILL], still))
         if "white_crossed" in _used(captures[0]).bands:
             yield from _asked([FILMS], crossed)
 
@@ -399,22 +392,6 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
             moved = max(moved, float(np.linalg.norm(shifts, axis=1).max()))
         yield _answer(STILL, moved)
 
-    def focus() -> Iterator[Answer]:
-        first = _used(captures[0])
-        light = observe(first).white.grey
-        inside = _well_inside(results[0])
-        below = float(np.max(results[0].shape_mm[inside])) - results[0].shape_mm
-        # at one scale, because finer pictures show finer detail
-        scale = min(1.0, _FOCUS_PX_PER_MM * results[0].pitch_mm)
-        px_per_mm = scale / results[0].pitch_mm
-        small = [reduce_image(image, scale) for image in light]
-        for question, depth in ((NEAR, 0.0), (FAR, _FOCUS_DEPTH_MM)):
-            part = inside & (np.abs(below - depth) < 1.0)  # mm
-            seen = reduce_mask(part, scale) > 0.5
-            require(seen.any(), "the finger shows no skin at this depth; lay it down flat.")
-            measured = [measure_focus(image, seen, px_per_mm).sharpness for image in small]
-            yield _answer(question, float(np.median(measured)))
-
     def crossed() -> Iterator[Answer]:
         bands, where = observe(_used(captures[0])).bands, results[0].mask
         shine = [
@@ -425,11 +402,11 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
         parallel, left = np.reshape(shine, (2, -1)).sum(axis=1)
         yield _answer(FILMS, 100 * float(left / max(parallel, 1e-9)))
 
-    return _asked([REPEAT, FLICKER, STILL, NEAR, FAR], ask)
+    return _asked([REPEAT, FLICKER, STILL], ask)
 
 
 def _changes(first: FloatArray, second: FloatArray, inside: BoolArray) -> Array:
-    """(L,) by how much each image's light changed most in a strip of rows, relative to all."""
+    """(L,) largest change of each image's light in any strip of rows, relative to all images."""
     strips = np.array_split(np.flatnonzero(inside.any(axis=1)), 4)
     ratios = np.empty((len(first), len(strips)))
     for n, rows in enumerate(strips):
@@ -446,18 +423,18 @@ def _well_inside(result: Reconstruction) -> BoolArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LaidOver:
-    """The second of two captures' surfaces, moved onto the first."""
+    """Alignment of the second capture's surface with the first."""
 
     move: Array
-    """(2, 3) of the first one's columns and rows, in the whole picture, to the second's."""
+    """(2, 3) map from columns and rows of the first picture to those of the second."""
     likeness: float
     """Correlation of the ridges."""
     inside: BoolArray
-    """(H, W) where both are well known."""
+    """(H, W) where both surfaces are measured well."""
 
     @classmethod
     def of(cls, first: Reconstruction, second: Reconstruction) -> _LaidOver:
-        """Undo the shift between two surfaces, of what shows in both."""
+        """Find the shift between two surfaces, where both show ridges."""
         require(first.mask.shape == second.mask.shape, "the finger's two captures differ in size.")
 
         def ridges(result: Reconstruction) -> FloatArray:

@@ -1,5 +1,5 @@
-"""Where the lights are, by photographs of balls: by glints on chrome and the light of a flat matt
-ground beside them, or by shading on matt grey."""
+"""Positions of lights from photographs of balls: from highlights on chrome and the brightness of
+flat matt ground beside them, or from the shading of matt grey balls."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ from splitknit_rig.calibration.sphere import (
 
 @dataclass(frozen=True, eq=False)
 class LightsOfBall(CalibratedLights):
-    """Lights by photographs of balls."""
+    """Lights measured with photographs of balls."""
 
     balls: tuple[Ball, ...] = ()
     encoding: str = "linear"
     left_out: tuple[str, ...] = ()
-    """Photographs whose light is not measured."""
+    """Photographs whose light could not be measured."""
     fit: Mapping[str, Any] | None = None
     """Of places: ``camera_height_mm``, ``dome_radius_mm``, ``glints_rms_px``, ``ground_misfit``."""
 
@@ -99,7 +99,7 @@ class BallPhotographs:
     mask: Path | None = None
     """White where the balls are; with `outlines`, where the object is."""
     ground: bool = False
-    """Whether the ground beside the balls is flat and matt."""
+    """Whether the ground beside the balls is known to be flat and matt."""
     encoding: str | None = None
     led_height_cm: float | None = None
 
@@ -109,18 +109,18 @@ _UNCERTAIN = 0.25  # 95 % interval of a place over its distance, above which dir
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Measured:
-    """Lights of photographs; NaN or zero where a photograph shows none."""
+    """Lights of photographs; NaN or zero if a photograph shows none."""
 
     directions: Array
     """(L, 3)."""
     strengths: Array | None = None
     places_mm: Array | None = None
-    """(L, 3), and (L,) half of their 95 % intervals."""
+    """(L, 3), and (L,) half widths of their 95 % intervals."""
     interval_mm: Array | None = None
     fit: Mapping[str, Any] | None = None
 
     def is_low(self) -> BoolArray:
-        """(L,) whether a light stands too low to be used, or was not seen."""
+        """(L,) whether a light is too low to be used, or shows no highlight."""
         if self.places_mm is not None:
             return np.asarray(~(self.places_mm[:, 2] >= 1.0))  # mm, the lowest of a list of lights
         return np.asarray(~(self.directions[:, 2] > 0.05))
@@ -129,8 +129,8 @@ class _Measured:
 def _by_fit(
     stack: FloatArray, balls: Sequence[Ball], camera: Camera, ground: MattGround | None
 ) -> tuple[_Measured, list[Finding]]:
-    """Places by glints and ground, or directions from the picture's middle where scale or distances
-    are not known; and doubts."""
+    """Positions from highlights and ground, or directions from the picture's middle if the scale or
+    the distances are unknown; and findings."""
     fit = places_of_lights(stack, balls, camera, ground)
     distances = np.linalg.norm(fit.places_mm, axis=1)
     directions = fit.places_mm / distances[:, None]
@@ -163,11 +163,12 @@ def _by_fit(
 def lights_of_ball(shown: BallPhotographs, base: Rig, out: Path | None) -> LightsOfBall:
     """Find the light of every photograph of balls.
 
-    Glints on chrome give places where the scale is known (the camera of `base`), and directions
-    from the picture's middle where it is not, or where the distances stay open; shading on grey
-    gives directions. With `led_height_cm` LEDs are placed at that height, side lights of the rig
-    `base` as far away as drawn; the ball then lies on the finger plane, camera and LEDs near.
-    `encoding`: as the files state it if None, else linear, or sRGB by the ball's shading.
+    Highlights on chrome give positions if the scale is known (the camera of `base`), and directions
+    from the picture's middle if it is not, or if distances cannot be determined; shading on grey
+    gives directions. With `led_height_cm` LEDs are placed at that height, and side lights of the
+    rig `base` at their drawn distance; the ball is then taken to lie on the finger plane, near
+    camera and LEDs. `encoding`: if None, as the files state it; if they do not, linear or sRGB,
+    whichever fits the ball's shading.
     """
     folder, kind, camera = shown.folder, shown.kind, base.camera
     photographs = photographs_of_balls(folder)
@@ -250,7 +251,7 @@ def lights_of_ball(shown: BallPhotographs, base: Rig, out: Path | None) -> Light
 
 
 def _notes(left_out: Sequence[str], out: Path | None, leds: Sequence[Led]) -> Iterator[Finding]:
-    """What is missing in the list of lights."""
+    """Finding that names the photographs missing from the list of lights."""
     if left_out:
         words = (
             f"left out, as no ball shows a glint of their light on its front: {some_of(left_out)};"
@@ -303,7 +304,7 @@ def _led(
 
 
 _FAR = 100.0
-"""How much higher the camera of a single ball without a scale is taken to stand: its rays are
+"""Factor by which the camera of a single ball without a scale is moved away, so that its rays are
 parallel. Chosen on: a photographed chrome ball."""
 _BALL_SURROUNDINGS = 2.0  # radii, with its holder and deepest shadow
 
@@ -350,8 +351,8 @@ def _on_ground(ball: Ball, camera: Camera) -> tuple[float, float, float]:
 def ground_of(
     stack: FloatArray, balls: Sequence[Ball], camera: Camera, covered: BoolArray | None
 ) -> MattGround:
-    """Points of the ground in photographs (L, H, W): what is about as bright as most of the
-    picture, away from the balls and from what is `covered` (H, W)."""
+    """Points of the ground in photographs (L, H, W): pixels about as bright as most of the picture,
+    away from the balls and from pixels that are `covered` (H, W)."""
     step = int(np.sqrt(stack[0].size / GROUND_POINTS)) + 1
     rows, columns = (
         axis.ravel() for axis in np.mgrid[: stack.shape[1] : step, : stack.shape[2] : step]
@@ -375,7 +376,7 @@ _GLOSSY_GROUND = 0.1  # relative; 0.02 on a matt plate of a renderer, 0.3 on fel
 
 
 def _doubts(fit: LightPlaces) -> list[Finding]:
-    """What makes places of lights doubtful."""
+    """Findings that make the positions of lights doubtful."""
     findings = []
     if fit.glint_px > _FAR_GLINT_PX:
         words = (
@@ -402,10 +403,11 @@ class BallPlace:
     # of the LEDs, where all are drawn: `away` of :mod:`splitknit_rig.calibration.sphere`
     distances: Array | None = None
     at_side: frozenset[int] = frozenset()
-    """Which of them stand at the side."""
+    """Which LEDs are side lights."""
 
     def of_led(self, k: int, direction: Array, height_mm: float) -> Point:
-        """Where LED k is: at a height, or at the side as far from the ball as it is drawn."""
+        """Position of LED k: at the stated height or, for a side light, at its drawn distance from
+        the ball."""
         far = (height_mm - self.middle_mm[2]) / direction[2]
         if self.distances is not None and k in self.at_side:
             far = self.distances[k] * self.radius_mm
@@ -432,8 +434,8 @@ def place_on_plane(rig: Rig, ball: Ball, names: Sequence[str]) -> BallPlace:
 
 
 def _likely_encoding(codes: FloatArray, ball: Ball) -> str:
-    """How stored values of a matt ball of known normals are encoded, by their shading: its pixels
-    are the lights of the forward model here, and its lights the normals."""
+    """Encoding of the stored values, judged by the shading of a matt ball of known normals. The
+    forward model is used with exchanged roles: pixels as lights, lights as normals."""
     normals = ball.normals(codes.shape[1:])
     inner = np.argwhere(np.nan_to_num(normals[..., 2]) > 0.3)
     rows, columns = inner[:: max(1, len(inner) // 2000)].T
@@ -446,8 +448,8 @@ def _likely_encoding(codes: FloatArray, ball: Ball) -> str:
 
 
 def photographs_of_balls(folder: Path) -> list[tuple[str, int, Path]]:
-    """Band, LED, file of images: ``white_3.png`` names them; others are white ones in the order of
-    their numbers."""
+    """Band, LED and file of images. ``white_3.png`` states band and LED; other names are white LEDs
+    in the order of their numbers."""
     require(
         folder.is_dir(),
         f"{folder} is not a folder; name the folder with the photographs of the ball.",
@@ -477,7 +479,7 @@ on: real photographs (a chrome ball; drawn balls beside it). Range: 0.40 to 0.53
 
 
 def rig_of_balls(shown: BallPhotographs, px_per_cm: float | None, image_size: str | None) -> Rig:
-    """A camera without LEDs, for photographs of balls of a known scale or none."""
+    """A rig without LEDs, for photographs of balls, with or without a known scale."""
     rows, columns = read_photo(photographs_of_balls(shown.folder)[0][2]).pixels.shape[:2]
     if px_per_cm is not None:
         size = image_size or f"{rows},{columns}"
@@ -496,8 +498,8 @@ def ball_of_text(text: str) -> Ball:
 def _outlined(
     stack: FloatArray, shown: BallPhotographs, white: BoolArray | None, *, checked: bool
 ) -> tuple[list[Ball], list[Finding]]:
-    """Balls in photographs (L, H, W), by outlines, by a mask, or found; and findings, with
-    `checked` outlines also that nothing checks one."""
+    """Balls in photographs (L, H, W), from outlines, from a mask, or detected; and findings. With
+    `checked` a finding also says if an outline could not be checked."""
     if not shown.outlines and white is None:
         found = find_ball(stack)
         words = (
@@ -522,7 +524,7 @@ def _read_mask(mask: Path, size: tuple[int, int]) -> BoolArray:
 
 
 def _ball_within(ball: Ball, stack: FloatArray, kind: str) -> tuple[Ball, list[Finding]]:
-    """The ball within the rim that the photographs (L, H, W) show near an outline, and findings."""
+    """The ball whose rim the photographs (L, H, W) show near an outline, and findings."""
     rim, agreed = rim_of(stack, ball)
     per_radius = 2.0 if kind == "chrome" else 1.0  # a mirror doubles what its normal turns by
     if agreed < _RIM_AGREED:

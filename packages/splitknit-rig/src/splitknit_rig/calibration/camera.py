@@ -1,5 +1,5 @@
-"""Camera calibration from views of one checkerboard: what is fitted, what is rejected, what views
-cannot determine."""
+"""Camera calibration from views of one checkerboard: the fit, rejected views, and parameters that
+the views do not determine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from splitknit_rig.calibration.targets import Board
 
 TERMS = ("k1", "k2", "p1", "p2", "k3")  # coefficients of the distortion, in OpenCV's order
 _STEPS: tuple[tuple[str, ...], ...] = (("k1",), ("k2",), ("p1", "p2"), ("k3",))
-"""Terms are tried in this order, each beside those that were kept; k3 only beside k2."""
+"""Terms are tried in this order, each in addition to those that were kept; k3 only with k2."""
 _UNDETERMINED = (
     "the photographs do not determine the camera (no camera fits them, as when all boards lie"
     " parallel to the sensor); tilt the board by 20 to 40 deg to several sides, and let it fill the"
@@ -29,7 +29,7 @@ _UNDETERMINED = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LensFit:
-    """A camera matrix with distortion, and where the board stood in each view."""
+    """A camera matrix with distortion, and the board's pose in each view."""
 
     matrix: Array  # (3, 3) in pixels
     distortion: tuple[float, ...]  # k1, k2, p1, p2, k3
@@ -55,11 +55,11 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
     """Fit matrix and distortion to `corner_sets`, V arrays (N, 2) of columns and rows of the
     corners `board_mm` (N, 2). Square pixels and no distortion come first; k1, k2, (p1, p2), k3 and
     the ratio of the focal lengths are added in turn, each kept only if it differs from zero by more
-    than four of its standard deviations. An undetermined principal point is held at the
-    image's middle. The focal length's standard deviation is the larger one of the fit's and of fits
-    with other lengths held. Raises BadInput if the views determine no camera. Source: Z. Zhang, "A
-    flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms and deviations as
-    in OpenCV's ``calibrateCameraExtended``.
+    than four of its standard deviations. An undetermined principal point is held at the image's
+    middle. The focal length's standard deviation is the larger of two: that of the fit, and that of
+    fits with the focal length held at other values. Raises BadInput if the views determine no
+    camera. Source: Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11),
+    2000; terms and deviations as in OpenCV's ``calibrateCameraExtended``.
     """
     board = np.asarray(board_mm, dtype=np.float64)
     flat = np.column_stack([board, np.zeros(len(board))]).astype(np.float32)
@@ -175,7 +175,8 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
 
 
 def _root_rise(held: _LensFit, free: _LensFit, views: _Views) -> float:
-    """Root of what holding a value adds to the sum of squares, in variances of a coordinate."""
+    """Square root of the increase of the sum of squares when a value is held, in units of a
+    coordinate's variance."""
     coordinates = 2 * len(views.corners) * len(views.boards[0])
     return float(
         np.sqrt(coordinates * max(held.rms_px**2 / max(free.rms_px, 1e-12) ** 2 - 1, 1e-12))
@@ -183,7 +184,7 @@ def _root_rise(held: _LensFit, free: _LensFit, views: _Views) -> float:
 
 
 def _focal_deviations(views: _Views, kept: tuple[str, ...], best: _LensFit) -> dict[str, float]:
-    """Standard deviations of fx and fy, not less than fits with other focal lengths show."""
+    """Standard deviations of fx and fy, at least those that fits with other focal lengths give."""
     estimates = []
     for factor in (0.97, 1.03):
         matrix = best.matrix.copy()
@@ -214,7 +215,7 @@ _HOLDING = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraCalibration:
-    """A calibrated camera, with what it rests on."""
+    """A calibrated camera, with the views that it was fitted to."""
 
     lens: _LensFit
     image_size: tuple[int, int]  # rows, columns
@@ -238,9 +239,8 @@ def fit_camera(
     """Calibrate a camera by Zhang's method from `corner_sets`: V arrays (N, 2), column and row of
     the board's corners in the order of `board.points_mm`; `names` are for messages. Views whose
     error is 5 robust standard deviations (1.4826 times the median absolute deviation) above the
-    median, and 1.6 times it, are taken out, the worst first. Raises BadInput if too few views
-    remain, or they do not determine the focal length, as boards parallel to the sensor do not
-    (section 4).
+    median, and 1.6 times it, are removed, the worst first. Raises BadInput if too few views remain,
+    or they do not determine the focal length, as boards parallel to the sensor do not (section 4).
     """
     views = [np.asarray(corners, dtype=np.float64) for corners in corner_sets]
     names = list(names) if names is not None else [f"view {k}" for k in range(len(views))]
@@ -310,7 +310,7 @@ _MIN_VARIETY_DEG = 10.0  # between two of the boards' normals
 
 
 def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tuple[Finding, ...]:
-    """Findings, or the refusal of views that determine too little."""
+    """Findings; raises BadInput if the views determine too little."""
     ratio = float(lens.matrix[0, 0] / lens.matrix[1, 1])
     require(
         abs(ratio - 1) < 0.02,

@@ -1,4 +1,4 @@
-"""Photographs of a checkerboard in, the camera of a rig file out."""
+"""From photographs of a checkerboard to the camera of a rig file."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ from splitknit_rig.calibration.written import check_rig_file
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredCamera:
-    """A camera as photographs of targets show it, None for what they do not."""
+    """A camera measured with photographs of targets; None for what they do not determine."""
 
     out: Path
     """The rig file that was written."""
     board: Board
     """The checkerboard in the photographs."""
     camera: Camera
-    """As it is in the rig file."""
+    """As written to the rig file."""
     fit: CameraCalibration | None
     """The fitted lens and poses of a checkerboard."""
     poses: Mapping[str, PlanePose]
-    """Pose of the finger plane by the image that shows it."""
+    """Pose of the finger plane, by name of the image that shows it."""
     pose: PlanePose | None
     """Their mean."""
     findings: tuple[Finding, ...]
     calibrated_at: str
     """ISO 8601."""
     leds_nominal: bool = False
-    """Whether the rig file's LEDs are the drawing's, as no rig was given."""
+    """Whether the rig file's LEDs are those of the drawing, because no rig was given."""
     boardless: tuple[str, ...] = ()
     """Photographs in which no board is in full view."""
 
@@ -97,8 +97,8 @@ def calibrate_to_rig(
     calibrated_at: str | None = None,
     progress: Progress = no_progress,
 ) -> MeasuredCamera:
-    """Calibrate, and write the rig file; BadInput names the file or argument at fault, and nothing
-    is written then."""
+    """Calibrate, and write the rig file. BadInput names the file or argument at fault; nothing is
+    then written."""
     require(
         folder is not None or len(plane) > 0,
         "give a FOLDER of photographs of a checkerboard, or `plane`: there is nothing to calibrate"
@@ -179,7 +179,7 @@ def calibrate_to_rig(
 
 
 def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
-    """Images in `folder`, in the order that people count, or of its capture folders by a glob
+    """Images in `folder`, in natural order (2 before 10), or in its capture folders by a glob
     `pattern`."""
     require(
         folder.is_dir(), f"'{folder}' is not a folder; name the folder of checkerboard photographs."
@@ -205,7 +205,7 @@ def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
 
 
 def _label(file: Path, folder: Path) -> str:
-    """How a photograph is called: its path in the folder."""
+    """Name of a photograph in messages: its path in the folder."""
     return file.relative_to(folder).as_posix()
 
 
@@ -213,7 +213,8 @@ class _Photos:
     """Reads photographs, all of one size, and keeps their SHA-256 by name."""
 
     def __init__(self, expected: tuple[tuple[int, int], str] | None) -> None:
-        """Expect rows and columns, and what has them; None: the first photograph's."""
+        """Expect a size (rows, columns), with the name of what has it; None: that of the first
+        photograph."""
         self._expected = expected
         self.hashes: dict[str, str] = {}
 
@@ -224,7 +225,7 @@ class _Photos:
         return self._expected[0]
 
     def read(self, file: Path, name: str | None = None) -> PixelArray:
-        """Pixels of an image, which is called `name`."""
+        """Pixels of an image, called `name` in messages."""
         size, reference = self._expected or (None, "")
         rows, columns = size or (0, 0)
         other = (
@@ -243,8 +244,8 @@ def _board_photos(
     board: Board,
     progress: Callable[[float], None],
 ) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Corners by name, and photographs without the board; where it is on too few, BadInput names
-    the size they show."""
+    """Corners by name, and photographs without the board. If too few show it, BadInput names the
+    size of the board that they show."""
     corners: dict[str, Array] = {}
     boardless: list[str] = []
     for k, file in enumerate(files):
@@ -268,7 +269,7 @@ def _board_photos(
 
 
 def _plane_marks(photos: _Photos, file: Path, board: Board) -> Array:
-    """Places of the board's corners in the image."""
+    """Pixels of the board's corners in the image."""
     corners = naming(file, partial(find_board, photos.read(file), board))
     if corners is None:
         raise BadInput(

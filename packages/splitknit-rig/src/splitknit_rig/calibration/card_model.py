@@ -39,7 +39,7 @@ Source: definition of `intensity` in the rig file.
 
 @dataclass(frozen=True, slots=True)
 class CardPlane:
-    """Where a card lies."""
+    """Height and tilt of a card."""
 
     # z of its surface on the camera's axis: its thickness, if it lies on the finger plane
     height_mm: float = 0.0
@@ -54,15 +54,15 @@ class CardPlane:
 
     @property
     def normal(self) -> Array:
-        """(3,) unit vector out of the card."""
+        """(3,) unit normal of the card."""
         a, b = np.deg2rad(self.tilt_deg)
         angle = float(np.hypot(a, b))
         fraction = float(np.sinc(angle / np.pi))
         return np.array([fraction * b, -fraction * a, np.cos(angle)])
 
     def points(self, camera: Camera, pixels: Any) -> Array:
-        """Points (N, 3) in mm that `pixels` (N, 2; column, row) see on the card; BadInput unless
-        below the camera."""
+        """Points (N, 3) in mm on the card that `pixels` (N, 2; column, row) see. Raises BadInput if
+        the card is not below the camera."""
         high = f"the card's height, {self.height_mm:g} mm, is not below the camera."
         require(self.height_mm < camera.height_mm, high)
         places = plane_points(camera, pixels)
@@ -119,8 +119,8 @@ class CardModel:
     fitting. The vector of parameters has the lens's a and b, then ln c, n, u and v of every LED."""
 
     bounds = ([-0.95] * 2, [-np.inf, 0.02, -0.7, -0.7]), ([0.95] * 2, [np.inf, 200.0, 0.7, 0.7])
-    """Least and greatest values, of the lens and of an LED: a lens that keeps some light, beams
-    from flat to narrow, an aim within 35 deg."""
+    """Lower and upper bounds for the lens and for an LED: the lens transmits some light everywhere,
+    beams range from flat to narrow, aims lie within 35 deg."""
 
     def __init__(self, camera: Camera, leds: Sequence[Led], pixels: Array, card: CardPlane) -> None:
         """Prepare what does not depend on the parameters."""
@@ -138,7 +138,7 @@ class CardModel:
             self.seen[k] = -self.frames[k] @ towards.T
 
     def vector(self, of_lens: Sequence[float], of_led: Sequence[float]) -> Array:
-        """Vector of parameters, one for the lens and one that all LEDs have."""
+        """Vector of parameters, from values of the lens and values that all LEDs share."""
         return np.concatenate([of_lens, np.tile(of_led, self.count)])
 
     def logarithm(self, vector: Array) -> Array:

@@ -1,11 +1,11 @@
 """Flat field: the lens's fall-off and every LED's brightness, beam and aim, from a white card under
 each LED.
 
-An image of a card, divided into the images of a finger, is a flat field for the plane of the card
-alone: a finger's pad lies up to a centimetre above it. A model of the light holds at every height
-and does not carry the card's dust into every finger. The lens's fall-off is the same in all images
-and lies about the image's centre; the inverse square and the card's cosine follow from the LEDs'
-places, which are known; what is left is the beam, which moves with the LED.
+Dividing a finger's images by those of a card corrects them only in the plane of the card, but a
+finger's pad lies up to a centimetre above it. A model of the light holds at every height and does
+not copy the card's dust into every finger. The lens's fall-off is the same in all images and
+centred on the image; the inverse square law and the card's cosine follow from the known positions
+of the LEDs; what remains is the beam of each LED.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from splitknit_rig.calibration.card_model import CardModel, CardPlane, rays_to_l
 
 
 _PRIOR = (0.0, 5.0, 0.0, 0.0), (0.0, 1 / 20.0, 1 / 4.0, 1 / 4.0)
-"""Middle and inverse width of what is expected of an LED: ln c, n, n u and n v. It settles what the
-images leave open, the aim of a beam that is wide; each is worth one cell of thousands."""
+"""Middle and inverse width of what is expected of an LED: ln c, n, n u and n v. It determines what
+the images do not, the aim of a wide beam; each prior weighs as much as one cell among thousands."""
 
 
 def _fit(
     model: CardModel, start: Array, logarithm: Array, scale: float
 ) -> tuple[Array, Array, Array]:
     """Parameters that fit ln (L, N) of the images, their covariance, and the slopes (L, N, P) of
-    the model; `scale`: residual beyond which a place counts less (Cauchy's weights)."""
+    the model; `scale`: residual beyond which a place is down-weighted (Cauchy)."""
     vector, weight = start, np.zeros(logarithm.shape[1])
 
     def residuals(vector: Array, root: Array) -> Array:
@@ -70,7 +70,7 @@ def _fit(
 
 
 def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Array:
-    """(N,) angle in deg between the card's normal and the direction half way between LED and
+    """(N,) angle in deg between the card's normal and the bisector of the directions to LED and
     camera."""
     points = card.points(camera, pixels)
     towards, _ = rays_to_led(led, points)
@@ -83,9 +83,9 @@ def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Ar
 
 
 def _card_gloss(slopes: Array, half_angles_deg: Array, rest: Array) -> tuple[float, float]:
-    """Brightness of the spot at the mirror's angle relative to the card's own, and its standard
-    error. Least squares of the residuals (L, N), NaN where dust is, on a narrow and a wide spot and
-    on all `slopes` of the model; the greater spot, in its errors, is returned.
+    """Brightness of the specular spot relative to the card, and its standard error. Least squares
+    of the residuals (L, N), NaN where dust is, on a narrow and a wide spot and on all `slopes` of
+    the model; the spot with the larger ratio to its standard error is returned.
     """
     used = np.isfinite(rest)
     left, rows = rest[used], slopes[used]
@@ -107,7 +107,7 @@ def _card_gloss(slopes: Array, half_angles_deg: Array, rest: Array) -> tuple[flo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlatField:
-    """A rig's light as a white card shows it."""
+    """Lens and LEDs of a rig, measured with a white card."""
 
     camera: Camera  # with its fall-off
     leds: tuple[Led, ...]  # with intensity (the mean is one), lobe_exponent and aim
@@ -140,13 +140,12 @@ def fit_flat_field(
     """Fit lens, brightnesses, beams and aims to images of a white card, all images of all bands
     together.
 
-    `light` (L, N) is linear, at `pixels` (N, 2; column, row), under LED k alone, the lens's
-    fall-off in it; `card` lies on the finger plane by default. The camera's `shading` and the LEDs'
-    intensities, exponents and aims are replaced. Raises BadInput if an LED did
-    not light, the card does not fill the field or is not uniform. A tilt of the card is
-    indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against the
-    base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces
-    lean by one degree.
+    `light` (L, N) is linear, at `pixels` (N, 2; column, row), under LED k alone, and includes the
+    lens's fall-off; `card` lies on the finger plane by default. The camera's `shading` and the
+    LEDs' intensities, exponents and aims are replaced. Raises BadInput if an LED did not light, the
+    card does not fill the field or is not uniform. A tilt of the card is indistinguishable from
+    aims and brightnesses: it must be known (as the camera's tilt against the base is) or small. An
+    unknown tilt of 1 deg changes the brightness of LEDs by up to 0.7 % and tilts surfaces by 1 deg.
     """
     places, images = np.asarray(pixels, dtype=np.float64), np.asarray(light, dtype=np.float64)
     require(

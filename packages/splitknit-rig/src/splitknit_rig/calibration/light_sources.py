@@ -1,4 +1,4 @@
-"""Where the LEDs are: from a nail's shadow tips, and files of lights."""
+"""Positions of LEDs from a nail's shadow tips; and files of lights."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from splitknit_rig.calibration.written import check_rig_file
 
 
 def check_lights_file(out: Path | None) -> None:
-    """Refuse a file that holds something else than a rig, or a list of lights by its ending."""
+    """Refuse to replace a file that is neither a rig nor, by its suffix, a list of lights."""
     if out is not None and is_list(out):
         check_file(out, "a list of lights", _holds_lights)
     else:
@@ -39,7 +39,7 @@ def check_lights_file(out: Path | None) -> None:
 
 
 def _holds_lights(data: bytes) -> bool:
-    """Whether a file begins as a list of lights, an .lp or a .dome file does."""
+    """Whether a file begins like a list of lights, an .lp file or a .dome file."""
     titled = data.startswith(LIST_TITLE.encode())
     counted = data.partition(b"\n")[0].strip().isdigit()
     return titled or counted or b'"lightConfiguration"' in data
@@ -48,7 +48,7 @@ def _holds_lights(data: bytes) -> bool:
 def rig_without_leds(
     px_per_cm: float | None, image_size: str | None, led_height_cm: float | None
 ) -> Rig:
-    """An orthographic camera of a scale and size, without LEDs."""
+    """A rig with an orthographic camera of a scale and size, without LEDs."""
     values = {"px_per_cm": px_per_cm, "image_size": image_size, "led_height_cm": led_height_cm}
     missing = " and ".join(f"`{name}`" for name, value in values.items() if value is None)
     require(not missing, f"calibrate lights needs {missing}, or `rig` with a camera.")
@@ -77,7 +77,7 @@ def pair_of(text: str, expected: str) -> tuple[float, float]:
 def led_circle(
     rig: Rig, radius_cm: float | None, height_cm: float | None, centre_px: str | None
 ) -> Circle:
-    """The circle of the LEDs as it is measured, or as the rig has it."""
+    """The circle of the LEDs as stated or, by default, as in the rig."""
     side = side_lights(rig.leds)  # they stand on no circle with the others
     places = [
         led.position_mm
@@ -107,12 +107,12 @@ def led_circle(
 
 
 def is_list(out: Path) -> bool:
-    """Whether a file is a list of lights, by its ending."""
+    """Whether a file is a list of lights, by its suffix."""
     return out.suffix.lower() in (".txt", ".lp", ".dome")
 
 
 def write_lights(lights: CalibratedLights, *, named: bool = False) -> None:
-    """Write the file `out` of lights, where they have one; a list names photographs if `named`."""
+    """Write the file `out` of the lights, if there is one; a list names photographs if `named`."""
     out = lights.out
     if out is not None and is_list(out):
         bands = {led.band for led in lights.rig.leds}
@@ -140,7 +140,7 @@ def write_lights(lights: CalibratedLights, *, named: bool = False) -> None:
 def lights_of_table(
     table: Path, rig: Rig, circle: Circle, rules: Rules, out: Path | None
 ) -> LightsOfNail:
-    """LEDs by a table of nail and shadow tips."""
+    """LEDs from a table of nail and shadow tips."""
     data = read_bytes(table, 16_000_000)
     with refusing(f"{table} is not a text file; export the table as CSV in UTF-8."):
         text = data.decode("utf-8-sig")
@@ -163,7 +163,7 @@ def lights_of_nail(
     tips_out: Path | None,
     progress: Progress = no_progress,
 ) -> LightsOfNail:
-    """LEDs by photographs of a nail; picture and table of the tips are written even if LEDs are
+    """LEDs from photographs of a nail; picture and table of the tips are written even if LEDs are
     refused."""
     if out is not None:
         show = show or out.with_name(f"{out.stem}_tips.png")

@@ -1,11 +1,11 @@
-"""Where the LEDs are, from a nail and the tips of its shadows: the thesis's construction, and what
-it can be held to.
+"""Positions of the LEDs from a nail and the tips of its shadows: the thesis's construction, and its
+consistency.
 
 The ray from the tip of the shadow through the nail, seen from above, meets the circle on which the
 LEDs sit on the far side of the nail; the LED is there, at the height of the circle. Its direction
 is that of its position seen from the centre of the circle on the finger plane. Every position of
-the nail gives one direction; the thesis takes the mean of two. How far apart they are is the only
-sign of a bad table, and it is reported for each LED.
+the nail gives one direction; the thesis takes the mean of two. Their disagreement is the only sign
+of a bad table, and it is reported for each LED.
 
 The table has one row a photograph: which LED was lit (`band`, and `led`, 0 to 6 within it), which
 place the nail stood at (`nail`, any whole number), the nail's pixel and that of its shadow's tip (x
@@ -168,7 +168,7 @@ def _number(text: str, where: str, column: str) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Circle:
-    """The circle on which the LEDs sit, as it is measured with a ruler."""
+    """The circle on which the LEDs sit, as measured with a ruler."""
 
     radius_mm: float
     height_mm: float  # height of the LEDs above the finger plane
@@ -188,13 +188,13 @@ class Circle:
 
     @property
     def foot_mm(self) -> Array:
-        """(3,) the centre on the finger plane, from which directions are counted."""
+        """(3,) the centre on the finger plane, from which directions are measured."""
         return np.array([*self.centre_mm, 0.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LedEstimate:
-    """One LED as one method finds it."""
+    """One LED as one method estimates it."""
 
     band: str
     led: int
@@ -203,13 +203,13 @@ class LedEstimate:
     # largest angle between the directions of two nail positions; None with one position
     disagreement_deg: float | None
     interval_deg: float | None = None
-    """Half of the 95 % interval, of the joint fit; so `interval_mm`."""
+    """Half of the 95 % interval (joint fit only); `interval_mm` likewise."""
     interval_mm: float | None = None
 
 
 def nail_points(camera: Camera, nail_px: Array, height_mm: float) -> Array:
-    """Where the nail stands on the finger plane, (N, 2), by the pixel of its tip, which a
-    perspective camera sees further out by the nail's `height_mm`.
+    """Position of the nail on the finger plane, (N, 2), from the pixel of its tip. A perspective
+    camera sees the tip further out, because of the nail's `height_mm`.
     """
     points = plane_points(camera, nail_px)
     if camera.model == "perspective":
@@ -221,8 +221,8 @@ def by_circle(
     tips: Sequence[Tip], camera: Camera, circle: Circle, *, known_height_mm: float | None = None
 ) -> tuple[tuple[LedEstimate, ...], float]:
     """Find every LED by the thesis's construction, in the order of the rows, and the nail's height
-    in mm, by the lengths of the shadows unless known. Raises BadInput naming LED and nail position
-    without a shadow, or with the nail outside the circle.
+    in mm, from the lengths of the shadows unless known. Raises BadInput, naming LED and nail
+    position, if there is no shadow or the nail stands outside the circle.
     """
     nail_px, tip_px = pixels(tips)
     ends = plane_points(camera, tip_px)
@@ -259,8 +259,8 @@ def by_circle(
 
 
 def combine(band: str, led: int, singles: Array, circle: Circle) -> LedEstimate:
-    """Put the positions (K, 3) that single nail positions give together: the mean, and how far
-    apart they are."""
+    """Combine the LED positions (K, 3) from single nail positions: their mean, and their
+    disagreement."""
     arms = singles - circle.foot_mm
     units = arms / np.linalg.norm(arms, axis=1, keepdims=True)
     mean = units.mean(axis=0)

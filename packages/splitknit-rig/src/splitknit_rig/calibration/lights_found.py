@@ -1,4 +1,4 @@
-"""From a table of nail and shadow tips to every LED's place, the verdict on it, and a rig."""
+"""From a table of nail and shadow tips to the position of every LED, a verdict on it, and a rig."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ OK, DISAGREES, COPIED, UNCHECKED, STRAYS = (
 
 @dataclass(frozen=True, slots=True)
 class CalibratedLed:
-    """Where an LED is, and how far that can be trusted."""
+    """Position of an LED, and its uncertainty."""
 
     band: str
     led: int
@@ -56,28 +56,28 @@ class CalibratedLed:
     position_mm: Point | None
     """In the rig's frame; None for a distant light."""
     disagreement_deg: float | None = None
-    """Largest angle between the directions of two nail positions; None where one was measured."""
+    """Largest angle between the directions from two nail positions; None if there was only one."""
     verdict: str = UNCHECKED
     """``ok``, ``disagrees``, ``copied``, ``off the circle`` or ``unchecked``."""
     kept: bool = True
     interval_deg: float | None = None
-    """Half of the 95 % interval, of the joint fit; so `interval_mm`."""
+    """Half of the 95 % interval (joint fit only); `interval_mm` likewise."""
     interval_mm: float | None = None
     image: str | None = None
-    """The photograph of a ball that shows it."""
+    """The photograph of a ball that shows the LED."""
     strength: float | None = None
-    """Of a matt ball's shading, relative to the mean."""
+    """Brightness from a matt ball's shading, relative to the mean."""
 
 
 @dataclass(frozen=True, eq=False)
 class CalibratedLights(ABC):
-    """Where the lights of a rig are."""
+    """Positions of a rig's lights."""
 
     method: str
     """``circle`` or ``joint`` (a nail's shadows), ``chrome`` or ``grey`` (a ball)."""
     leds: tuple[CalibratedLed, ...]
     rig: Rig
-    """With these lights, as it is written."""
+    """The rig with these lights, as written."""
     findings: tuple[Finding, ...] = ()
     out: Path | None = None
     """The file that was written."""
@@ -91,10 +91,10 @@ class CalibratedLights(ABC):
 
     @abstractmethod
     def lines(self) -> list[str]:
-        """What was measured, for people."""
+        """Lines of text that report what was measured."""
 
     def written_line(self) -> str:
-        """The file that was written, or how to have one."""
+        """Line that names the file that was written, or says how to get one."""
         if self.out is not None:
             return f"Written to {self.out}."
         return (
@@ -108,7 +108,7 @@ class CalibratedLights(ABC):
 
 @dataclass(frozen=True, eq=False)
 class LightsOfNail(CalibratedLights):
-    """Lights by the shadows of a nail."""
+    """Lights measured with the shadows of a nail."""
 
     limit_deg: float = 0.0
     nail_positions: int = 0
@@ -153,7 +153,7 @@ class LightsOfNail(CalibratedLights):
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """How LEDs are found from a nail's shadows, and which are kept."""
+    """How LEDs are estimated from a nail's shadows, and which are kept."""
 
     nail: Nail
     method: str | None = None  # ``circle`` or ``joint``; None: joint from so many nail positions
@@ -172,8 +172,8 @@ def lights_of_tips(
     name: str,
 ) -> LightsOfNail:
     """Find and judge every LED of a table, of SHA-256 `hashes` by file. LEDs whose tips are copies
-    keep the construction's place. Raises BadInput if the table is incomplete or impossible; Refused
-    if LEDs are not to be kept.
+    keep their position from the thesis's construction. Raises BadInput if the table is incomplete
+    or impossible, Refused if an LED must be refused.
     """
     camera = base.camera
     check_tips(tips, camera.image_size, name)
@@ -258,8 +258,7 @@ def point_of(place: Array) -> Point:
 def rig_of(
     estimates: Mapping[LedName, LedEstimate], base: Rig, provenance: Mapping[str, Any]
 ) -> Rig:
-    """Return `base` with the LEDs where they are estimated; what it knows beside their places is
-    kept."""
+    """Return `base` with the estimated positions of the LEDs; all else is kept."""
     places = {name: point_of(estimate.position_mm) for name, estimate in estimates.items()}
     leds: list[Led] = []
     for led in base.leds:
@@ -300,12 +299,12 @@ def _findings(
 
 
 _BEYOND_BORDER = 0.02
-"""Of the image's size: clicked beside the last pixel, not elsewhere."""
+"""Fraction of the image's size: a click just beyond the last pixel is accepted."""
 
 
 def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
-    """Check that each band has all seven LEDs, each at two nail positions (or the only one), pixels
-    in the image."""
+    """Check that each band has all seven LEDs, each at two nail positions (or the only one), and
+    that pixels lie in the image."""
     rows, columns = image_size
     for tip in tips:
         for what, (x, y) in (("nail", tip.nail_px), ("shadow's tip", tip.tip_px)):
@@ -342,8 +341,8 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
 
 
 _COPY_MM = 0.4
-"""Tips of two nail positions that are nearer on the finger plane repeat; the thesis's copies lie up
-to 0.22 mm apart. Chosen on: real photographs (the thesis's own table)."""
+"""Tips of two nail positions that lie nearer to each other on the finger plane are copies; those of
+the thesis lie up to 0.22 mm apart. Chosen on: real photographs (the thesis's own table)."""
 _MOVE_MM = 1.0  # nail positions that are nearer are one position
 
 
@@ -360,7 +359,7 @@ def copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
 
 
 def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
-    """Check that a nail number is one place, and two numbers two places."""
+    """Check that a nail number stands for one position, and two numbers for two."""
     nails = plane_points(camera, pixels(tips)[0])
     middles: dict[tuple[str, int], Array] = {}
     for band, nail in dict.fromkeys((tip.band, tip.nail) for tip in tips):
@@ -390,8 +389,8 @@ def judge(
     strays: Set[LedName],
     limit_deg: float,
 ) -> dict[LedName, str]:
-    """Verdict of every LED, the first that holds; ``unchecked`` is an LED that one position of the
-    nail shows."""
+    """Verdict on every LED, the first that applies; ``unchecked`` is an LED that was measured with
+    one position of the nail."""
     verdicts = {}
     for name, estimate in estimates.items():
         apart_deg = estimate.disagreement_deg
@@ -409,8 +408,7 @@ def judge(
 def refusal(
     verdicts: Mapping[LedName, str], estimates: Mapping[LedName, LedEstimate], limit_deg: float
 ) -> str | None:
-    """One sentence that names every LED that is refused and what to do; None where there is
-    none."""
+    """One sentence that names every refused LED and what to do; None if none is refused."""
     named: dict[str, list[str]] = {}
     for name, verdict in verdicts.items():
         apart = f" ({estimates[name].disagreement_deg:.1f} deg)" if verdict == DISAGREES else ""

@@ -1,4 +1,5 @@
-"""The LEDs from nail and shadow tips by least squares: all rows at once, the nail's height unknown.
+"""Positions of LEDs from nail and shadow tips, by least squares over all rows; the nail's height is
+unknown.
 
 Seen from above, an LED at (p, z), a nail that stands at n with its tip at the height h, and the tip
 t of its shadow on the finger plane obey
@@ -12,7 +13,7 @@ and, softly, that the LEDs sit on the circle. The height of the nail and that of
 both be found from shadows (a nail and a rig of twice the height cast the same ones): the measured
 height of the circle sets the scale, or that of the nail where it is known.
 
-Tips that lie far from where all others put them lose their weight (Geman and McClure's) and are
+Tips far from the position that all others predict lose their weight (Geman and McClure) and are
 named.
 
 Source: the thesis, 4.3.2, for the set-up. D. Geman and S. Geman's redescending weights in the form
@@ -47,7 +48,7 @@ from splitknit_rig.calibration.lights import (
 
 @dataclass(frozen=True, slots=True)
 class Nail:
-    """What is known of the nail beforehand."""
+    """Prior knowledge of the nail."""
 
     height_mm: float | None = None
     """If known: the LED positions then follow from it, and the circle is only a check."""
@@ -70,18 +71,18 @@ class _NailModel:
         self.names = list(dict.fromkeys((tip.band, tip.led) for tip in tips))
         """Band and number of the L LEDs."""
         self.led_of = np.array([self.names.index((tip.band, tip.led)) for tip in tips])
-        """(N,) which of them a row is of."""
+        """(N,) index of the LED of each row."""
         places = [(tip.band, tip.nail) for tip in tips]
         stood = list(dict.fromkeys(places))
         self.place_of = np.array([stood.index(place) for place in places])
-        """(N,) which place of the nail, under one band, a row is of."""
+        """(N,) index of the nail's position, per band, of each row."""
         self.places_px = np.array(
             [nail_px[self.place_of == k].mean(axis=0) for k in range(len(stood))]
         )
-        """(P, 2) the places' mean pixels."""
+        """(P, 2) mean pixels of the nail's positions."""
         self.known = nail.height_mm is not None
         self.at_height = 3 * len(self.names) + 2 * len(self.places_px)
-        """Where in the vector the nail's height is."""
+        """Index of the nail's height in the vector of parameters."""
         # standard deviation in mm of each LED off the circle, and of the circle off the drawing
         self.circle_sd = _FREE_SD_MM if self.known else 1.0
         self.nail_sd_px = nail.sd_mm * camera.px_per_mm
@@ -89,7 +90,7 @@ class _NailModel:
         self.top = 0.6 * min(circle.height_mm, camera.height_mm)
 
     def parts(self, x: Array) -> tuple[Array, Array, float, Array]:
-        """LEDs (L, 3), nail places (P, 2), nail height, and the circle's four offsets."""
+        """LEDs (L, 3), nail positions (P, 2), nail height, and the circle's four offsets."""
         count = 3 * len(self.names)
         leds = x[:count].reshape(-1, 3)
         # above the nail, it the plane
@@ -123,7 +124,7 @@ class _NailModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointFit:
-    """All LEDs, and how well they are known."""
+    """All LEDs, and their uncertainty."""
 
     leds: tuple[LedEstimate, ...]
     nail_height_mm: float
@@ -137,8 +138,8 @@ class JointFit:
 def by_joint_fit(
     tips: Sequence[Tip], camera: Camera, circle: Circle, nail: Nail | None = None
 ) -> JointFit:
-    """Every LED from all rows together; BadInput for one position, a row without shadow, a nail
-    outside the circle."""
+    """Estimate every LED from all rows together. Raises BadInput for a single position, a row
+    without shadow, or a nail outside the circle."""
     model = _NailModel(tips, camera, circle, nail or Nail())
     require(
         len({tip.nail for tip in tips}) >= 2,
@@ -148,7 +149,8 @@ def by_joint_fit(
 
 
 _STRAY_TIP = 4.0
-"""A tip so many standard deviations from its place is named, and has lost most of its weight."""
+"""Standard deviations from its expected position beyond which a tip is named; it has then lost most
+of its weight."""
 
 
 def _solve(model: _NailModel) -> OptimizeResult:
@@ -228,8 +230,8 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
 
 
 def _radius_95(covariance: Array) -> float:
-    """95 % radius of a normal error of covariance (D, D), by its first two moments (Satterthwaite
-    1946), within 4 %."""
+    """95 % radius of a normal error of covariance (D, D), from its first two moments (Satterthwaite
+    1946); accurate to 4 %."""
     values = np.clip(np.linalg.eigvalsh(covariance), 0.0, None)
     total = float(values.sum())
     if total <= 0:

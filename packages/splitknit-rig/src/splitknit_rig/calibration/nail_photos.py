@@ -1,5 +1,5 @@
-"""Photographs of the nail that calibrates lights: reading them, finding the tips, and a picture of
-what was found."""
+"""Photographs of the nail that calibrates lights: reading them, detecting the tips, and a picture
+of the result."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 Files = dict[tuple[int, str], list[Path]]
 """Files by nail position and band, in the order of the LEDs."""
 _Tile = tuple[str, FloatArray, NailView, int]
-"""Name, small image, what it shows, and the LED."""
+"""Name, reduced image, detected nail and shadow, and the LED."""
 
 
 def tips_of_photos(
@@ -126,8 +126,8 @@ def _nail_files(folder: Path) -> Files:
 def read_stack(
     paths: Sequence[Path], size: tuple[int, int], encoding: str, *, upright: bool = False
 ) -> tuple[FloatArray, dict[Path, str]]:
-    """Grey linear light (L, H, W) of images, less the ambient one beside them, `upright` by EXIF;
-    and all SHA-256s."""
+    """Grey linear light (L, H, W) of images, minus the ambient image beside them, turned `upright`
+    by EXIF; and all SHA-256s."""
     hashes: dict[Path, str] = {}
     images = []
     for path in paths:
@@ -241,6 +241,6 @@ def _nail_tile(tile: _Tile, image_size: tuple[int, int]) -> ColourArray:
 
 
 def _at(place: Array, scale: float) -> tuple[int, int]:
-    """Where a pixel of the photograph is in the tile."""
+    """Position in the tile of a pixel of the photograph."""
     x, y = (place + 0.5) * scale - 0.5
     return round(float(x)), round(float(y))

@@ -1,4 +1,4 @@
-"""The finger plane as the camera sees it: scale, height of the camera, and obliqueness."""
+"""The finger plane in the camera's frame: scale, height of the camera, and tilt."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from splitknit.model import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanePose:
-    """A plane before a camera."""
+    """Pose of a plane in front of a camera."""
 
     height_mm: float  # from the camera's centre to the plane, along the optical axis
     px_per_mm: float  # where the axis meets the plane: focal length over height
@@ -35,7 +35,7 @@ class PlanePose:
 
     @property
     def tilt_xy_deg(self) -> tuple[float, float]:
-        """Turn of the plane about x, then y, right-handed: its parts."""
+        """Components of the tilt: turn about x, then y, right-handed."""
         x, y, z = (float(value) for value in self.normal)
         return float(np.degrees(np.arctan2(-y, z))), float(
             np.degrees(np.arctan2(x, np.hypot(y, z)))
@@ -109,7 +109,7 @@ def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) 
 
 
 def mean_pose(poses: Sequence[PlanePose], focal_px: float) -> PlanePose:
-    """Mean of several photographs' poses of one plane, each by the inverse of its variance."""
+    """Mean of several photographs' poses of one plane, weighted by the inverse variances."""
     by_height, by_tilt = (
         np.array([1 / max(pose.deviations[name], 1e-9) ** 2 for pose in poses])
         for name in ("height_mm", "tilt_deg")

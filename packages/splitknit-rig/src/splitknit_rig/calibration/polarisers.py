@@ -1,10 +1,10 @@
 """The polarising films of a rig, from a printed matt card and a glossy black ball (or a sheet of
 glass) behind them.
 
-The card returns depolarised light, of which both positions of the analyser should pass the same: it
-shows how much darker the crossed images are, their tint, and by how much the turned analyser moves
-the image. The ball mirrors the lights: what is left of them in the crossed images has passed the
-films although it should not.
+The card returns depolarised light, of which both positions of the analyser should pass the same
+fraction. It shows how much darker the crossed images are, their tint, and by how much turning the
+analyser shifts the image. The ball reflects the lights specularly: what remains of them in the
+crossed images has leaked through the films.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from splitknit_rig.calibration.radiometry import rounded
 from splitknit_rig.calibration.written import check_rig_file
 
 _LEAK_ERROR = 2.5e-4
-"""Half of the largest error of what is left of the specular light. Chosen on: simulated objects
-(rigs with films)."""
+"""Half of the largest error of the measured leak. Chosen on: simulated objects (rigs with
+films)."""
 
 
 def films_to_file(
@@ -100,7 +100,7 @@ def films_to_file(
 
 
 def _series(capture: Capture) -> tuple[Light, Light]:
-    """Light of the parallel and the crossed series, as it came through the films."""
+    """Light of the parallel and the crossed series, behind the films."""
     near, far = (capture.bands[name] for name in ("white", "white_crossed"))
     return Light(near, capture.rig, capture.encoding), Light(far, capture.rig, capture.encoding)
 
@@ -130,8 +130,8 @@ def _grey(light: Light, k: int) -> FloatArray:
 
 
 def measure_card(card: Capture) -> tuple[Films, dict[str, Any]]:
-    """Films (image shift and brightness, no leak yet) by a printed matt card; errors and residuals.
-    BadInput if the card has no print, is clipped, or moved.
+    """Measure the films' image shift and brightness, not yet the leak, with a printed matt card;
+    also errors and residuals. Raises BadInput if the card has no print, is clipped, or moved.
     """
     near, far = _series(card)
     some = (0, near.photographs // 2)
@@ -192,8 +192,8 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any]]:
 
 
 def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
-    """Bring the crossed image (h, w) onto the parallel one by least squares, coarse to fine; with
-    deviations (3,)."""
+    """Register the crossed image (h, w) to the parallel one by least squares, coarse to fine; with
+    standard deviations (3,)."""
     crossed = crossed * np.float32(parallel.mean() / max(float(crossed.mean()), 1e-9))
     films = Films((), (), ())
     for sigma in (8.0, 4.0, 2.0):  # px, coarse to fine
@@ -259,14 +259,14 @@ def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """Where a light is mirrored in an image, and as far around it as it reaches."""
+    """Specular highlight of a light in an image: its centre and extent."""
 
     column: int
     row: int
     radius_px: float
 
     def disc(self, shape: tuple[int, ...], times: float = 1.0) -> BoolArray:
-        """(h, w) pixels within so many times the radius."""
+        """(h, w) pixels within a multiple of the radius."""
         rows, columns = np.ogrid[: shape[0], : shape[1]]
         return np.asarray(
             (rows - self.row) ** 2 + (columns - self.column) ** 2 <= (times * self.radius_px) ** 2
@@ -275,7 +275,8 @@ class Spot:
 
 def measure_ball(ball: Capture, films: Films) -> Array:
     """(L, 2, 2) light of the parallel and crossed highlights of L lights in a glossy black ball,
-    and its deviation. BadInput if a highlight is missing or clipped, or series are swapped.
+    and its standard deviation. Raises BadInput if a highlight is missing or clipped, or the series
+    are swapped.
     """
     near, far = _series(ball)
     matrix = crossed_place(films, ball.shape)
@@ -318,7 +319,7 @@ def _spot(grey: NDArray[Any], k: int) -> Spot:
 
 
 def _flux(light: Light, k: int, spot: Spot) -> Array:
-    """(2,) grey light of a highlight above what surrounds it, and its deviation."""
+    """(2,) grey light of a highlight above its surroundings, and its standard deviation."""
     grey = _grey(light, k).astype(np.float64)
     disc = spot.disc(grey.shape)
     require(

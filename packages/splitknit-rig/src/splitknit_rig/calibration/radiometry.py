@@ -1,8 +1,8 @@
 """Radiometric calibration: a rig's lens, the brightness and beams of its LEDs; and the check of a
 later card.
 
-A capture of a white card is condensed to a few hundred numbers an LED: robust means over cells,
-which dust and noise hardly touch.
+A capture of a white card is condensed to a few hundred numbers per LED: robust means over cells,
+which dust and noise hardly affect.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _CELL_BLOCKS = 5  # a side of a cell, whose brightness is the median of their me
 
 
 def _cells_of(light: Light) -> tuple[Array, Array]:
-    """Middles of the cells, (rows, columns, 2) columns and rows, and the median of linear grey
+    """Centres of the cells, (rows, columns, 2) as column and row, and the median of linear grey
     light (L, rows, columns) in them.
     """
     size = light.shape
@@ -68,8 +68,8 @@ class CardImages:
 
 
 def card_images(capture: Capture, rig: Rig, *, may_be_dark: bool = False) -> CardImages:
-    """Condense a capture of a white card, each LED of the rig alone in one image. Raises BadInput
-    if capture and rig do not fit, or an image is missing, double, clipped, or black.
+    """Condense a capture of a white card, with each LED of the rig alone in one image. Raises
+    BadInput if capture and rig do not match, or an image is missing, double, clipped, or black.
     """
     _check_fit(capture, rig)
     bands = list(capture.bands.values())
@@ -177,11 +177,11 @@ PROVENANCE = "radiometry"  # where a rig's provenance holds what is found here
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadiometricCalibration:
-    """A rig's radiometry as a white card shows it."""
+    """A rig's radiometry, measured with a white card."""
 
     rig: Rig
-    """With the lens's fall-off, intensities, beams and aims; its provenance has the rest under
-    `PROVENANCE`."""
+    """The rig with the lens's fall-off, intensities, beams and aims; its provenance holds the rest
+    under `PROVENANCE`."""
     flat_field: FlatField
     images: CardImages
     facts: Mapping[str, Any]
@@ -189,14 +189,14 @@ class RadiometricCalibration:
     ``out``."""
     findings: tuple[Finding, ...]
     base_tilt: bool = False
-    """Whether the card was taken to lie as the rig's base does."""
+    """Whether the card was assumed to be tilted like the rig's base."""
 
     def __str__(self) -> str:
         return text_of(radiometry_lines(self.facts, base_tilt=self.base_tilt))
 
 
 MAX_RESIDUAL_PERCENT = 1.0
-"""Rms of an LED's residuals: the goal of the radiometric calibration."""
+"""Limit of the rms of an LED's residuals: the goal of the radiometric calibration."""
 
 
 def fit_radiometry(
@@ -242,7 +242,7 @@ def fit_radiometry(
 
 
 _GLOSS_PERCENT = 2.0
-"""A card whose mirror spot is brighter than this, and than five of its errors, shines."""
+"""A card is glossy if its specular spot is brighter than this and than five standard errors."""
 
 
 def _check(flat: FlatField, rig: Rig, limit_percent: float) -> None:
@@ -296,7 +296,7 @@ def _led_facts(
 
 
 _AMBIENT_PERCENT = 5.0
-"""Light from elsewhere, relative to the LEDs'."""
+"""Limit of ambient light, relative to that of the LEDs."""
 
 
 def _ambient_light(images: CardImages) -> list[Finding]:
@@ -353,8 +353,9 @@ def rounded(value: float | np.floating) -> float:
 def beside_calibration(
     images: CardImages, rig: Rig, plane: CardPlane
 ) -> tuple[Array, Array, Array]:
-    """(L,) each: how bright the LEDs show the card by the rig's calibration, the same relative to
-    the median of the LED's band, and the robust deviation from it across the picture."""
+    """(L,) each: brightness of the card under each LED relative to the rig's calibration, the same
+    relative to the median of the LED's band, and the robust standard deviation across the
+    picture."""
     expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds])
     now = images.light / expected
     ratio = np.median(now, axis=1)

@@ -1,4 +1,4 @@
-"""A white card's folder in, a calibrated rig file out."""
+"""From a white card's capture folder to a calibrated rig file."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def calibrate_to_file(
     card_tilt_deg: tuple[float, float] | None = None,
     progress: Progress = no_progress,
 ) -> RadiometricCalibration:
-    """Calibrate a rig with a card, and write it; BadInput names the folder or file at fault, and
-    nothing is written."""
+    """Calibrate a rig with a card, and write it. BadInput names the folder or file at fault;
+    nothing is then written."""
     check_rig_file(out)
     progress("reading", 0.0)
     capture = read_capture(folder)
@@ -71,8 +71,8 @@ def calibrate_to_file(
 
 
 def base_tilt_deg(rig: Rig) -> tuple[float, float]:
-    """Turn of the base about x and y as ``splitknit calibrate camera`` left it; zero below twice
-    its deviation."""
+    """Turn of the base about x and y as measured by ``splitknit calibrate camera``; zero if below
+    twice its standard deviation."""
     try:
         plane: Any = rig.provenance["camera"]["residuals"]["plane"]
         x, y = (float(value) for value in plane["tilt_xy_deg"])
@@ -89,8 +89,8 @@ def base_tilt_deg(rig: Rig) -> tuple[float, float]:
 def _measured_response(
     folder: Path, capture: Capture, hashes: dict[str, str]
 ) -> dict[str, Any] | None:
-    """The camera's response by its exposures, compared with what the capture states of its images;
-    None without."""
+    """The camera's response from its exposure series, compared with the encoding that the capture
+    states; None without a series."""
     series = exposure_series(folder, capture, hashes)
     if series is None:
         return None
@@ -117,8 +117,8 @@ def _measured_response(
 def exposure_series(
     folder: Path, capture: Capture, hashes: dict[str, str]
 ) -> tuple[Array, Array] | None:
-    """Values (J, N) of small places in the images that ``radiometry.json`` names, parts of full
-    scale, NaN where clipped, and the time times gain (J,) of each; None where it names none."""
+    """Values (J, N) of small patches in the images that ``radiometry.json`` names, as fractions of
+    full scale, NaN where clipped, and time times gain (J,) of each; None if it names none."""
     exposures = read_exposures(folder)
     if not exposures:
         return None
@@ -154,8 +154,8 @@ def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
 
 
 def patches(frame: PixelArray) -> tuple[Array, Array]:
-    """Means (n * C,) of small squares as parts of full scale, NaN where clipped at either end, and
-    their deviation."""
+    """Means (n * C,) of small squares as fractions of full scale, NaN where clipped at either end,
+    and their standard deviation."""
     full = np.float32(np.iinfo(frame.dtype).max)
     side = max(2, max(frame.shape[:2]) // 40)  # 40 patches along the longer side
     rows, columns = (size // side for size in frame.shape[:2])
@@ -184,8 +184,8 @@ class _Document(Struct, forbid_unknown_fields=True):
 
 
 def read_exposures(folder: Path) -> tuple[tuple[Path, float], ...]:
-    """Images of the series in ``radiometry.json``, and time times gain of each; none where there is
-    no such file. Raises BadInput naming the file and the field.
+    """Images of the series in ``radiometry.json``, and time times gain of each; none if there is no
+    such file. Raises BadInput naming the file and the field.
     """
     file = folder / DOCUMENT
     if not file.is_file():

@@ -1,10 +1,10 @@
-"""The sensor: whether its values are linear in the light.
+"""Linearity of the sensor's values in the light.
 
 With exposure times t_j, light L_i and stored values v_ij the inverse response f obeys f(v_ij) = t_j
-L_i. A polynomial f is linear in its coefficients, and so is the best L_i in f: what is left is one
+L_i. A polynomial f is linear in its coefficients, and so is the best L_i in f: all of it is one
 small linear system (Mitsunaga and Nayar 1999, with known instead of estimated ratios of the
-exposures). How far f is from a straight line is the answer; the sRGB curve is tried by taking it
-off first.
+exposures). The departure of f from a straight line is the result; for sRGB the curve is first
+removed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from splitknit.model import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """How stored values follow the light."""
+    """Relation of stored values to the light."""
 
     encoding: str  # ``linear`` or ``srgb``
     linear_percent: float  # largest departure of the values from a line, in per cent of full scale

@@ -1,10 +1,11 @@
 """The tips of a nail and of its shadows in photographs: one image under each LED of a band.
 
-What is dark whatever LED is lit is the nail; what is dark under one LED only is a shadow. The ratio
-of an image to the median of all takes the ground's texture, the lens and half of the light's
-fall-off away; a smooth surface takes the rest. The shadow of a cone is the hull of its base and of
-the tip's shadow, with a penumbra that widens towards the tip; that shape is fitted to every shadow,
-so that the blunt tip and the penumbra do not draw the tip out or in.
+Pixels that are dark under every LED are the nail; pixels that are dark under one LED only are its
+shadow. Dividing an image by the median of all removes the ground's texture, the lens's fall-off and
+half of the light's fall-off; dividing by a smooth surface removes the rest. The shadow of a cone is
+the hull of its base and of the tip's shadow, with a penumbra that widens towards the tip; that
+shape is fitted to every shadow, so that neither the blunt tip nor the penumbra biases the tip's
+position.
 """
 
 from __future__ import annotations
@@ -122,7 +123,8 @@ def _fit_shape(
 
 
 _OUTLINE_PIXELS = 500
-"""Near a shadow's tip, evenly spread; half as many along its sides. Chosen on: speed."""
+"""Number of pixels near a shadow's tip, evenly spread; half as many along its sides. Chosen on:
+speed."""
 
 
 def _pixels_about(
@@ -164,7 +166,7 @@ def _thin(index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NailView:
-    """What the images of one nail position and one band show; pixels are columns and rows."""
+    """Tips in the images of one nail position and one band, as columns and rows."""
 
     nail_px: Array  # (2,) the nail's tip
     tips_px: Array  # (L, 2) the shadows' tips; NaN where a shadow leaves the picture
@@ -172,8 +174,8 @@ class NailView:
 
 
 def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> NailView:
-    """Tips of the nail and its shadows in `stack` (L, H, W), L >= 3, linear, an LED an image.
-    Raises BadInput if there is no nail, or an image without its shadow (named).
+    """Tips of the nail and its shadows in `stack` (L, H, W), L >= 3, linear, one image per LED.
+    Raises BadInput if there is no nail, or an image shows no shadow (the image is named).
     """
     images = check_stack(stack, least=3, name="the photographs of the nail")
     usual = np.median(images, axis=0).astype(np.float32)
@@ -214,14 +216,14 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
 
 
 def _ratio(image: FloatArray, usual: FloatArray, dark: BoolArray) -> FloatArray:
-    """The image against the median of all, one where it is lit as usual, (H, W)."""
+    """Ratio of the image to the median of all, (H, W), one where nothing is shadowed."""
     ratio: FloatArray = np.asarray(image / np.maximum(usual, np.float32(1e-6)), dtype=np.float32)
     return np.asarray(ratio / np.maximum(_smooth(ratio, ~dark), 1e-3), dtype=np.float32)
 
 
 def _smooth(image: FloatArray, usable: BoolArray) -> FloatArray:
-    """A surface of the second degree through most of an image's pixels, whatever few are much
-    darker, (H, W)."""
+    """A quadratic surface (H, W) through most of an image's pixels, robust to a few that are much
+    darker."""
     height, width = image.shape
     step = max(1, int(np.sqrt(image.size / 20_000)))
     rows, columns = np.mgrid[0:height:step, 0:width:step]
@@ -245,7 +247,7 @@ def _smooth(image: FloatArray, usable: BoolArray) -> FloatArray:
 def _nail_among(
     dark: BoolArray, shadows: BoolArray, px_per_mm: float, names: Sequence[str]
 ) -> BoolArray:
-    """The dark thing from which most shadows start: dots on the ground have none."""
+    """The dark region from which most shadows start; dots on the ground cast none."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         dark.astype(np.uint8), connectivity=8
     )
@@ -269,7 +271,7 @@ def _nail_among(
 
 
 def _shadow_of(shadow: BoolArray, near: BoolArray) -> BoolArray:
-    """The part of a shadow's pixels that hangs together with the nail."""
+    """The part of a shadow's pixels that is connected to the nail."""
     opened = cv2.medianBlur(shadow.astype(np.uint8), 3)
     _, labels = cv2.connectedComponents(
         (opened > 0).astype(np.uint8) | near.astype(np.uint8), connectivity=8
@@ -279,7 +281,7 @@ def _shadow_of(shadow: BoolArray, near: BoolArray) -> BoolArray:
 
 
 def _far_end(part: BoolArray, middle: Array) -> Array:
-    """Where a shadow ends (2,); the middle of the nail if there is none."""
+    """End (2,) of a shadow; the middle of the nail if there is none."""
     rows, columns = np.nonzero(part)
     if rows.size == 0:
         return middle

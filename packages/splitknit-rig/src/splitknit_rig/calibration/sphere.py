@@ -1,10 +1,10 @@
-"""Directions of lights from photographs of a ball: of its highlight on chrome, of its shading on
+"""Directions of lights from photographs of a ball: from the highlight on chrome, or the shading of
 matt grey.
 
 Directions point from the ball's middle to the light, x right, y up, z to the camera. Without a
 scale the view is taken as parallel (along z) and the light as distant. With it `eye` (3,) is the
 camera's centre, and `away` (L,) the distances of the lights as drawn, both from the ball's middle,
-in radii of the ball: then nearness is not an error.
+in radii of the ball; near lights then cause no error.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class Ball:
         return self.seen(columns, rows, eye)[0]
 
     def seen(self, column: Any, row: Any, eye: Array | None = None) -> tuple[Array, Array]:
-        """Unit normals (..., 3) where lines of sight meet the ball, NaN where none does, and unit
-        vectors back."""
+        """Unit normals (..., 3) where lines of sight meet the ball, NaN where they miss it, and
+        unit vectors to the camera."""
         x, y = (column - self.column) / self.radius_px, (self.row - row) / self.radius_px
         level = np.stack(np.broadcast_arrays(x, y, 0.0), axis=-1)
         view = np.array([0.0, 0.0, 1.0]) if eye is None else eye - level
@@ -48,8 +48,8 @@ class Ball:
 
 
 def balls_of_mask(mask: Any) -> list[Ball]:
-    """Balls whose images are the discs of `mask` (H, W): circles through their borders; BadInput if
-    one is no disc."""
+    """Balls whose images are the discs of `mask` (H, W): circles through their borders. Raises
+    BadInput if a region is not a disc."""
     array = np.asarray(mask)
     require(
         array.ndim == 2, f"the ball's mask must have the shape (H, W), but it has {array.shape}."
@@ -99,15 +99,15 @@ def find_ball(stack: Any) -> Ball:
 _RIM_RAYS = 360  # from a ball's middle
 _ANGLES = 2.0 * np.pi * np.arange(_RIM_RAYS)[:, None] / _RIM_RAYS
 MIN_RIM_PX = 40.0
-"""Radius of a ball whose rim is looked for: of 12 smaller ones 5 came out 3 to 12 % beside. Chosen
-on: simulated objects (drawn balls on textures)."""
+"""Smallest radius for which the rim is searched: 5 of 12 smaller balls came out 3 to 12 % wrong.
+Chosen on: simulated objects (drawn balls on textures)."""
 
 
 def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
-    """Ball whose rim stands out in photographs (L, H, W) near a given one, and the part of rays
-    from its middle that agree on it, 0 where the ball is small. A ray's edge is where sqrt(I) is
-    steepest, squares added over photographs (Di Zenzo 1986), so that what moves with the light
-    counts little; the circle is the one through three of them on which most lie.
+    """Ball whose rim is visible in photographs (L, H, W) near a given one, and the fraction of rays
+    from its middle that agree on it, 0 if the ball is small. A ray's edge is where sqrt(I) is
+    steepest, squares added over photographs (Di Zenzo 1986), so that edges which move with the
+    light count little; the circle is the one through three of them on which most lie.
     """
     images = check_stack(stack, least=1, name="the photographs of the ball")
     rows, columns = images.shape[1:]
@@ -169,8 +169,8 @@ def smear_px(image: FloatArray, ball: Ball) -> float:
     """Length of the straight path along which an image of a ball on dark ground is smeared.
 
     Light that falls outside the rim of an edge of standard deviation s lies 0.627 s from it, on
-    average. A path of length l adds the variance l^2 / 12 along it, which changes with the
-    direction t as cos 2 t; a middle that is off changes with cos t.
+    average. A path of length l adds the variance l^2 / 12 along it, which varies with the direction
+    t as cos 2 t; an error of the middle varies as cos t.
     """
     away = np.linspace(0.0, 0.06 * ball.radius_px, 49)
     x, y = (axis.astype(np.float32) for axis in _on_rays(ball, ball.radius_px + away))
@@ -183,8 +183,8 @@ def smear_px(image: FloatArray, ball: Ball) -> float:
 
 
 def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Array]:
-    """Circle by the longest outline of a mask, and how far its pixels (N,) lie off; `small` refuses
-    short ones."""
+    """Circle through the longest outline of a mask, and distances (N,) of its pixels from the
+    circle; `small` is the message that refuses short outlines."""
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     outline = max(outlines, key=len)[:, 0].astype(np.float64)
     require(len(outline) >= 20, small)
@@ -196,13 +196,13 @@ def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Array]:
 
 
 _FRONT = 0.5
-"""Least z of a ball's normal where lights above the ground glint, as it halves the angle to a
-camera up to 30 deg aside. Further out the ground may show beside the outline."""
+"""Smallest z of the normal at a highlight of a light above the ground: the normal bisects the angle
+to the camera, which may be 30 deg off the axis. Further out the outline may include ground."""
 
 
 def glints_of(stack: Any, ball: Ball) -> Array:
-    """(L, 2) column and row of the highlight on a chrome ball in images (L, H, W), linear; NaN
-    where none stands out, as of a light behind the ball."""
+    """(L, 2) column and row of the highlight on a chrome ball in linear images (L, H, W); NaN if
+    there is none, as with a light behind the ball."""
     images = check_stack(stack, least=1, name="the photographs of the ball")
     front = np.nan_to_num(ball.normals(images.shape[1:])[..., 2]) > _FRONT
     rows, columns = np.nonzero(front)
@@ -245,9 +245,9 @@ def grey_directions(
 
     `stack` (L, H, W): linear, ambient light removed. Taken as distant, a near light seems to stand
     further out (by 2.4 deg in the twin, a ball of 8 mm radius under LEDs 132 mm above its middle);
-    with `away` each pixel has its own distance. Pixels count that the light reaches, away from the
-    ball's edge and below `clip_level`, evaluated again with every estimate. Raises BadInput if too
-    little of the ball is lit in an image (numbered).
+    with `away` each pixel has its own distance. Used are pixels that the light reaches, away from
+    the ball's edge and below `clip_level`; the selection is repeated with every estimate. Raises
+    BadInput if too little of the ball is lit in an image (numbered).
     """
     images = check_stack(stack, name="the photographs of the ball")
     normals = ball.normals(images.shape[1:], eye)
@@ -292,8 +292,8 @@ def grey_directions(
 
 
 def _circle(points: Array) -> tuple[float, float, float]:
-    """Centre and radius of a circle through points (N, 2), least squares, points far from it left
-    out in turn."""
+    """Centre and radius of a circle through points (N, 2), by least squares that repeatedly drop
+    points far from it."""
     kept = np.ones(len(points), dtype=np.bool_)
     for _ in range(10):
         x, y = points[kept].T
@@ -309,7 +309,7 @@ _MIN_HIGHLIGHT = 0.03  # of the largest value
 
 
 def _highlight(image: FloatArray, inside: BoolArray) -> tuple[float, float]:
-    """Middle of what is brighter than halfway between a ball's most and usual brightness."""
+    """Centroid of the pixels above the mean of a ball's maximal and typical brightness."""
     values = np.where(inside, cv2.GaussianBlur(image, (0, 0), 1.2), 0.0).astype(np.float64)
     top, usual = float(values.max()), float(np.median(values[inside]))
     if top <= max(4.0 * usual, _MIN_HIGHLIGHT):

@@ -1,4 +1,4 @@
-"""The printed checkerboard in photographs: its inner corners, and which board it is."""
+"""The printed checkerboard in photographs: its size and inner corners."""
 
 from __future__ import annotations
 
@@ -115,8 +115,8 @@ objects (boards with squares of 57 px: corners 0.05 px off without it, 0.015 wit
 
 
 def _refined(image: FloatArray, grid: Array) -> Array:
-    """Corners (rows, columns, 2) to a small part of a pixel, with windows that stay within the four
-    squares around."""
+    """Corners (rows, columns, 2) with subpixel accuracy, from windows that stay within the four
+    squares around each."""
     side = min(float(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min()) for axis in (0, 1))
     half = int(np.clip(round(0.3 * side), 3, 40))
     blur = min(_CORNER_BLUR_PX, 0.05 * side)
@@ -129,13 +129,13 @@ def _refined(image: FloatArray, grid: Array) -> Array:
 
 
 def _is_board(image: FloatArray, grid: Array) -> bool:
-    """Whether four squares of changing brightness meet at every place."""
+    """Whether four squares of alternating brightness meet at every corner."""
     contrast = _contrast(image, grid)
     return bool(contrast.min() > 0.2 * np.median(contrast) > 0)
 
 
 def _goes_on(image: FloatArray, grid: Array) -> bool:
-    """Whether the board has a further row or column of corners beyond the grid."""
+    """Whether the board has another row or column of corners beyond the grid."""
     least = 0.4 * float(np.median(_contrast(image, grid)))
     for side in (grid, grid[::-1], grid.swapaxes(0, 1), grid[:, ::-1].swapaxes(0, 1)):
         line = (2 * side[-1] - side[-2])[None]

@@ -1,4 +1,4 @@
-"""What calibrations say to people: lines out of their facts."""
+"""Lines of text that report the results of calibrations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that calibrations write: an earlier one of the same kind may be replaced, nothing else."""
+"""Checks before calibrations write a file: only an earlier one of the same kind is replaced."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Auto-exposure, found on the brightest LED of a band and locked; and focus, a number that is
+"""Auto-exposure, set with the brightest LED of a band and then locked; and focus, a number that is
 largest when sharp."""
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ MEDIAN = 50.0
 
 @dataclass(frozen=True, slots=True)
 class ExposureSettings(Checked):
-    """How bright the brightest image shall be."""
+    """Target brightness of the brightest image."""
 
     target: Annotated[float, Limits(0.05, 0.95)] = 0.7
     """Fraction of full scale that the finger's 99.9th percentile reaches, brightest channel and
     LED."""
     longest_s: Annotated[float, Limits(0, above=True)] = 0.066
-    """Above this the gain is raised: longer times would spoil the seven seconds."""
+    """Beyond this the gain is raised instead: a capture should take no more than seven seconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +45,7 @@ class Survey:
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """What was found for a band."""
+    """Exposure chosen for a band."""
 
     exposure_s: float
     gain: float
@@ -54,18 +54,19 @@ class Exposure:
     # LED to the light (h, w, C) that its preview shows, see :func:`coarse_light`
     light: Mapping[int, FloatArray] = field(default_factory=dict)
     room: FloatArray | None = None
-    """(h, w, C) the same with all LEDs off."""
+    """(h, w, C) coarse light with all LEDs off."""
 
     def promising(self, seen: Survey, room: Frame) -> Exposure:
-        """With what the previews promise of the shots, and `room`, the preview without LEDs."""
+        """The exposure with the light that the previews predict for the shots, and `room`, the
+        preview without LEDs."""
         dark = coarse_light(room)
         light = {led: coarse_light(frame) - dark for led, frame in seen.frames.items()}
         return replace(self, light=light, room=dark)
 
 
 def coarse_light(frame: Frame) -> FloatArray:
-    """(h, w, C) mean light of a frame or its preview in 48 cells across, over the exposure: what
-    shows which LED, exposure and white balance made it."""
+    """(h, w, C) mean light of a frame or its preview in 48 cells across, divided by the exposure.
+    It reveals the LED, exposure and white balance of the frame."""
     rows, columns, channels = frame.pixels.shape
     size = (48, max(1, round(48 * rows / columns)))
     stored = frame.pixels.astype(np.float32)
@@ -75,15 +76,15 @@ def coarse_light(frame: Frame) -> FloatArray:
 
 
 EXPOSURE_STEP = 1.15
-"""Exposures are those of a ladder of such steps, so that a frame made with another one than the
-camera states is seen by its light."""
+"""Ratio of neighbouring exposures on a ladder: a frame taken with another exposure than the camera
+states is detected by its light."""
 
 
 def exposure_of(
     product_s: float, camera: ExposureRange, settings: ExposureSettings
 ) -> tuple[float, float]:
-    """Exposure time and gain whose product is `product_s`, or as near as the camera can: time
-    first, then gain; the product is on the ladder of `EXPOSURE_STEP`."""
+    """Exposure time and gain whose product is `product_s`, or as near as the camera allows: time is
+    raised first, then gain; the product lies on the ladder of `EXPOSURE_STEP`."""
     rung = round(np.log(product_s / START_S) / np.log(EXPOSURE_STEP))
     product_s = START_S * EXPOSURE_STEP**rung
     longest = min(max(settings.longest_s, camera.shortest_s), camera.longest_s)
@@ -92,11 +93,11 @@ def exposure_of(
 
 
 FINGER_PERCENTILE = 99.9
-"""Of the finger's pixels, in the brightest channel."""
+"""Percentile of the finger's pixels, in the brightest channel."""
 
 
 def _level_of(frame: Frame, region: BoolArray | None = None) -> float:
-    """How bright the finger is in the brightest channel, as a fraction of full scale above the
+    """Brightness of the finger in the brightest channel, as a fraction of full scale above the
     black level."""
     pixels = (
         frame.pixels.reshape(-1, frame.pixels.shape[2]) if region is None else frame.pixels[region]
@@ -109,14 +110,14 @@ def _level_of(frame: Frame, region: BoolArray | None = None) -> float:
 START_S = 0.01
 """Exposure of the first preview, at gain 1. Chosen on: speed."""
 _CLIPPED_PREVIEW = 0.97
-"""Of full scale: such a preview only shows that less is needed."""
+"""Fraction of full scale: a brighter preview only shows that less exposure is needed."""
 
 
 def survey(
     look: Look, leds: Sequence[int], camera: ExposureRange, settings: ExposureSettings
 ) -> Survey:
-    """Look at a band under each LED with one exposure at which none clips and the brightest is not
-    dark. Raises BadInput if it is too bright or too dark at every exposure.
+    """Preview a band under each LED with one exposure, at which no preview clips and the brightest
+    is not dark. Raises BadInput if it is too bright or too dark at every exposure.
     """
     product = START_S
     while True:
@@ -149,7 +150,7 @@ def survey(
 def find_exposure(
     look: Look, seen: Survey, region: BoolArray, camera: ExposureRange, settings: ExposureSettings
 ) -> Exposure:
-    """The exposure of a band, before :meth:`Exposure.promising`, by previews `look` of the finger
+    """The exposure of a band, before :meth:`Exposure.promising`, from previews `look` of the finger
     in `region` (h, w). Raises BadInput if it stays too dark or too bright.
     """
     levels = {led: _level_of(frame, region) for led, frame in seen.frames.items()}
@@ -189,7 +190,7 @@ def find_exposure(
 
 @dataclass(frozen=True, slots=True)
 class Focus:
-    """One measurement."""
+    """One measurement of the focus."""
 
     # standard deviation of the detail, relative to brightness, in per cent; the noise's part is
     # taken off
@@ -199,10 +200,11 @@ class Focus:
 
 def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: float) -> Focus:
     """Focus of one picture (H, W) of linear light in the finger's `region` (H, W), without its
-    outline: the variance of the Laplacian of Gaussian of the relative brightness, less the noise's,
-    found at the finest scale, where blurred skin shows next to nothing. Source: Pech-Pacheco, J. L.
-    et al., "Diatom autofocusing in brightfield microscopy", ICPR 2000. Immerkaer, J., "Fast noise
-    variance estimation", Computer Vision and Image Understanding 64, 1996 (the mask of the noise).
+    outline: the variance of the Laplacian of Gaussian of the relative brightness, minus that of the
+    noise, measured at the finest scale, where blurred skin has almost no contrast. Source:
+    Pech-Pacheco, J. L. et al., "Diatom autofocusing in brightfield microscopy", ICPR 2000.
+    Immerkaer, J., "Fast noise variance estimation", Computer Vision and Image Understanding 64,
+    1996 (the mask of the noise).
     """
     light = check_image(image)
     inside = check_mask(region, (light.shape[0], light.shape[1]))

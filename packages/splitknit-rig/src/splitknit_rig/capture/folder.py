@@ -1,6 +1,5 @@
-"""A capture session on the devices, and a capture folder where its verdict is good;
-``session.json`` beside it holds exposure, focus, what was checked of every shot, times and
-settings.
+"""A capture session on the devices, and a capture folder if its verdict is good. ``session.json``
+in it holds exposure, focus, the checks of every shot, times and settings.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ from splitknit_rig.capture.session import Session, SessionSettings, run_session
 
 MARKER = "session.json"
 Ask = Callable[[PlannedCapture, str | None], str]
-"""Asks for a finger, with the reason where it is asked for again; answers ``go``, ``skip`` or
+"""Asks for a finger, with the reason if it is asked for again; answers ``go``, ``skip`` or
 ``stop``."""
 
 
 @dataclass(frozen=True, slots=True)
 class CaptureOptions:
-    """How captures are taken and kept."""
+    """Options for taking and keeping captures."""
 
     settings: SessionSettings
     material: str = "skin"
@@ -51,8 +50,8 @@ def capture_to_folder(
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Capture a finger into the folder `out`; return the facts of ``session.json`` and more. Raises
-    BadInput with the verdict, nothing written (but `options.keep`), if the finger must be captured
-    again.
+    BadInput with the verdict if the finger must be captured again; nothing is then written, except
+    with `options.keep`.
     """
     check_capture(out, overwrite=options.overwrite)
     with atomic_folder(out, overwrite=options.overwrite) as target:
@@ -123,9 +122,9 @@ def capture_enrolment(
     options: CaptureOptions,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Capture the waiting fingers `places` of an enrolment, each with devices of its own; return
-    what was captured and skipped, how many are finished, and what is next. BadInput with finger and
-    verdict; what was finished is kept.
+    """Capture the next fingers `places` of an enrolment, opening the devices for each; return what
+    was captured and skipped, how many are finished, and what is next. BadInput names finger and
+    verdict; finished fingers are kept.
     """
     captured: list[str] = []
     skipped: list[str] = []
@@ -162,7 +161,7 @@ def _one_finger(
     options: CaptureOptions,
     progress: Progress,
 ) -> tuple[str, dict[str, Any] | None]:
-    """Answer and facts of one finger; asked for until it is good, skipped or stopped."""
+    """Answer and facts of one finger, which is asked for until it is good, skipped or stopped."""
     ask, why = options.ask, None
     while True:
         answer = "go" if ask is None else ask(place, why)

@@ -1,4 +1,4 @@
-"""What opens the devices that photograph: the Raspberry Pi's, or the twin's."""
+"""Functions that open the devices for photographs: the Raspberry Pi's, or the twin's."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Opener = Callable[[int, int], AbstractContextManager[Opened]]
 def opener_of(
     device: str, changes: Mapping[str, Any], rig: Rig | None, scale: float | None, **of: Any
 ) -> Opener:
-    """What opens the devices; `changes` of settings by their names, `of`: what the twin
+    """Function that opens the devices; `changes`: settings by their names; `of`: what the twin
     photographs."""
     return _pi(changes, rig, scale) if device == "pi" else _twin(changes, rig, scale, **of)
 
 
 def _pi(changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> Opener:
-    """What opens the Raspberry Pi's devices."""
+    """Function that opens the Raspberry Pi's devices."""
     from splitknit.settings import override
     from splitknit_rig.capture.pi import PiCameraSettings, opened_pi
 
@@ -47,7 +47,7 @@ def _twin(
     pattern: str | None = None,
     target: str | None = None,
 ) -> Opener:
-    """What opens the twin's devices, which the simulator's member brings."""
+    """Function that opens the twin's devices, which the simulator's member provides."""
     from functools import partial
 
     from splitknit.registry import DEVICES, SIMULATOR, extension

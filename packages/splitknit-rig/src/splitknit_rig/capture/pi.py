@@ -1,11 +1,10 @@
-"""The Raspberry Pi: its camera modules by picamera2, LEDs by gpiozero; both are imported here
-alone.
+"""The Raspberry Pi: its camera modules by picamera2, LEDs by gpiozero; both are imported only here.
 
-What makes a frame trustworthy is its metadata. A new exposure takes effect some frames after it was
-asked for, and frames that were exposed before an LED was switched may still wait in the pipeline.
-So frames are thrown away until one says that it was taken with the locked exposure time, gain and
-colour gains, *and* that its exposure began after the call: its sensor timestamp less its exposure
-time lies after it. (A sensor exposes its first row before the timestamp.)
+Frames are selected by their metadata. A new exposure takes effect some frames after it was
+requested, and frames exposed before an LED was switched may still wait in the pipeline. So frames
+are discarded until one states the locked exposure time, gain and colour gains, *and* its exposure
+began after the call: its sensor timestamp minus its exposure time is later than the call. (A sensor
+exposes its first row before the timestamp.)
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from splitknit_rig.capture.pins import RigFilms, pins_of, rig_films
 
 @dataclass(frozen=True, slots=True)
 class _Sensor:
-    """One camera module: what its sensor can, how its raw values lie, how noisy it is."""
+    """One camera module: limits of its sensor, layout of its raw values, and noise."""
 
     module: str  # as it is sold
     size: tuple[int, int]  # rows, columns
@@ -55,7 +54,7 @@ class _Sensor:
 
     @property
     def readout_s(self) -> float:
-        """From the end of the first row's exposure to that of the last."""
+        """Time from the end of the first row's exposure to that of the last."""
         return 0.0 if self.global_shutter else self.size[0] * self.line_s
 
 
@@ -146,18 +145,18 @@ SENSORS: Mapping[str, _Sensor] = {
         2.2,
     ),
 }
-"""By the name that libcamera lists them under. Modes, times and gains are those of the sensors'
-drivers in Linux and libcamera. Electrons are of published measurements and makers' sheets of the
-same sensor, rounded, for simulations (``sensor.full_well_e``); none of these modules has been run
-by this program.
+"""Camera modules by their names in libcamera. Modes, times and gains are those of the sensors'
+drivers in Linux and libcamera. Full-well capacities are rounded from published measurements and
+makers' data sheets of the same sensor, for simulations (``sensor.full_well_e``); this program has
+not been run with any of these modules.
 """
 SETTLE_S = 0.02
-"""Until an LED is at full brightness: far above what an LED (microseconds), its phosphor (under a
-millisecond) and its supply (milliseconds) need."""
+"""Time until an LED has full brightness: far longer than an LED (microseconds), its phosphor (under
+a millisecond) and its supply (milliseconds) need."""
 
 
 class PiLightBank(LightBank):
-    """LEDs on GPIO lines, active high, off from the moment on which the lines become outputs."""
+    """LEDs on GPIO lines, active high, off from the moment when the lines become outputs."""
 
     def __init__(
         self,
@@ -195,8 +194,8 @@ class PiLightBank(LightBank):
 
 
 class PiAnalyser(Closing):
-    """The film before the camera on a servo; without pulses between its turns, so that it does not
-    tremble."""
+    """The film before the camera on a servo; without pulses between turns, so that it does not
+    vibrate."""
 
     def __init__(
         self,
@@ -233,12 +232,12 @@ UNTESTED = (
     "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first"
     " frames."
 )
-"""Printed and stored with every capture until somebody has run it."""
+"""Printed and stored with every capture until somebody has tested the rig."""
 
 
 @dataclass(frozen=True, slots=True)
 class PiCameraSettings(Checked):
-    """The camera beside the Raspberry Pi's LEDs, and how it is driven."""
+    """Settings of the Raspberry Pi's camera."""
 
     _group = "pi"
 
@@ -248,8 +247,8 @@ class PiCameraSettings(Checked):
     """Rows, columns: the middle of the sensor, one to one. Even numbers; columns a multiple of 32.
     None: 2200 x 3200 of the imx219, as good as all of the others."""
     raw: bool = False
-    """Raw images of a module's own bits, demosaiced here to 16 bits, instead of the processor's
-    8-bit ones."""
+    """Raw images with the sensor's own bit depth, demosaiced here to 16 bits, instead of the image
+    processor's 8-bit images."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -283,8 +282,8 @@ class PiCamera(CameraDevice):
         *,
         now_ns: Callable[[], int] | None = None,
     ) -> None:
-        """Open and start a camera of the class ``picamera2.Picamera2``; BadInput if there is none,
-        or it is in use."""
+        """Open and start a camera of the class ``picamera2.Picamera2``. Raises BadInput if there is
+        none, or it is in use."""
         self._settings = settings or PiCameraSettings()
         self._sensor = self._settings.sensor
         self.image_size = self._settings.image_size or self._sensor.image_size
@@ -410,7 +409,7 @@ class PiCamera(CameraDevice):
         )
 
     def _as_locked(self, metadata: Mapping[str, Any]) -> bool:
-        """Whether a frame was taken as asked, within the sensor's steps."""
+        """Whether a frame was taken as requested, within the sensor's step size."""
         exposure_us, gain, gains = self._wanted
         colours = gains if self._sensor.mono else metadata.get("ColourGains", (0.0, 0.0))
         constant, linear, square = self._sensor.gain_step
@@ -474,7 +473,7 @@ _BAYER: Mapping[str, int] = {
     "GRBG": cv2.COLOR_BayerGB2RGB,
     "RGGB": cv2.COLOR_BayerBG2RGB,
 }
-"""By the colours of the first two pixels of the first two rows."""
+"""Named by the colours of the first two pixels of the first two rows."""
 
 
 def developed(
@@ -485,8 +484,8 @@ def developed(
     gains: tuple[float, float] = (1.0, 1.0),
 ) -> NDArray[np.uint16]:
     """White-balanced linear colours (H, W, 3) uint16, or grey (H, W, 1), of `raw` values (H, W) of
-    `bits`. `black`: value of no light, of 16 bits, which stays; `order`: one of :data:`_BAYER`,
-    else grey; `gains`: of red, blue.
+    `bits`. `black`: 16-bit value of no light, which is kept; `order`: one of :data:`_BAYER`, else
+    grey; `gains`: of red, blue.
     """
     shift = 16 - bits
     if order not in _BAYER:
@@ -503,8 +502,8 @@ def developed(
 
 
 def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
-    """A tuning (version 2) of the Pi's image processor with identities for tone curve and colour
-    matrix, and without the correction of lens shading, which would differ between captures.
+    """A tuning (version 2) of the Pi's image processor with identity tone curve and colour matrix,
+    and without lens shading correction, which would differ between captures.
     """
     straight = {
         "rpi.contrast": {"ce_enable": 0, "gamma_curve": [0, 0, 65535, 65535]},
@@ -532,7 +531,8 @@ INSTALL = (
 
 @contextmanager
 def _gpio(what: str) -> Iterator[Any]:
-    """Give gpiozero; what it refuses is refused in one sentence, that `what` cannot be done."""
+    """Import and yield gpiozero; its errors become BadInput with one sentence, that `what` cannot
+    be done."""
     with importing(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}."):
         import gpiozero  # type: ignore[import-untyped]  # only a Pi has it
     try:
@@ -588,8 +588,8 @@ def _open_analyser(rig: Rig) -> PiAnalyser | None:
 
 @contextmanager
 def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
-    """Open LEDs, which go dark, and the camera of the settings, and close them; BadInput if there
-    is none."""
+    """Open the LEDs, which go dark, and the camera of the settings, and close them afterwards.
+    Raises BadInput if there is none."""
     untested = Finding("untested-camera", f"the {settings.camera} camera was {UNTESTED}")
     findings = (untested,) if rig is not None else (NOMINAL, untested)
     chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})

@@ -1,4 +1,4 @@
-"""Which GPIO line of the Raspberry Pi switches which LED, and what turns the film before the
+"""GPIO lines of the Raspberry Pi that switch the LEDs, and that turn the film in front of the
 camera.
 
 Lines are named by their BCM numbers, as gpiozero does. The map of a built rig is in its rig file::
@@ -70,8 +70,8 @@ Source: the Raspberry Pi's header of 40 pins.
 
 
 def pins_of(rig: Rig) -> tuple[int, ...]:
-    """BCM lines of the rig's LEDs: LED k of a band has the band's k-th line. Raises BadInput for a
-    map with too few lines, a line twice, or one that cannot be used.
+    """BCM lines of the rig's LEDs: LED k of a band is on the band's k-th line. Raises BadInput for
+    a map with too few lines, a line twice, or one that cannot be used.
     """
     by_band = rig.provenance.get("pins", {"white": WHITE_PINS + SECOND_PINS, "nir": NIR_PINS})
     form = (
@@ -105,7 +105,7 @@ def pins_of(rig: Rig) -> tuple[int, ...]:
 
 @dataclass(frozen=True, slots=True)
 class RigFilms:
-    """Linear films before the white LEDs and, as the analyser, before the camera."""
+    """Linear films in front of the white LEDs and, as the analyser, in front of the camera."""
 
     # ``servo``, ``hand`` (what turns the analyser), or ``neighbours`` (the crossed series has its
     # own LEDs)
@@ -117,8 +117,8 @@ class RigFilms:
 
 
 def rig_films(rig: Rig) -> RigFilms | None:
-    """Films of a rig by its file's ``provenance.films``; None where it has none; BadInput if their
-    kind is unknown."""
+    """Films of a rig from its file's ``provenance.films``; None if it has none. Raises BadInput if
+    their kind is unknown."""
     films = rig.provenance.get("films")
     if films is None:
         return None

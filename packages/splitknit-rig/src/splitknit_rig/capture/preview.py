@@ -1,4 +1,4 @@
-"""The camera while somebody turns the lens: its sharpness again and again, and a picture."""
+"""Preview for focusing: the sharpness of repeated photographs, and a picture."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def look_again(
     """Photograph under one LED for some seconds; return the number of photographs, and the largest
     sharpness (%) of their middle.
 
-    `show` gets the sharpness of each and the largest so far, `picture` the latest photograph, 640
-    pixels wide at most. The exposure follows the light.
+    `show` is called with the sharpness of each and the largest so far, `picture` with the latest
+    photograph, at most 640 pixels wide. The exposure adapts to the light.
     """
     camera, rig = devices.camera, devices.rig
     settings = ExposureSettings()

@@ -1,11 +1,11 @@
-"""One capture: focus, exposure, an ambient frame and the lit frames of every band, each checked
-while there is time.
+"""One capture: focus, exposure, an ambient frame and the lit frames of every band, each checked at
+once, so that it can be repeated.
 
-A rig with polarising films has a parallel and a crossed series of white frames, with one exposure:
-it is found on the parallel one, where specular reflections saturate first.
+A rig with polarising films has a parallel and a crossed series of white frames, with one exposure.
+It is set with the parallel series, where specular reflections saturate first.
 
-Pictures are kept in memory and written after the last shot: while the finger lies there nothing but
-light, camera and checks takes time. All LEDs are off when a session ends, in whatever way.
+Pictures are kept in memory and written after the last shot: while the finger lies there, only
+light, camera and checks take time. All LEDs are off when a session ends, for whatever reason.
 """
 
 from __future__ import annotations
@@ -51,20 +51,20 @@ BANDS = ("white", "nir")
 
 @dataclass(frozen=True, slots=True)
 class SessionSettings:
-    """How a capture goes."""
+    """Settings of a capture."""
 
     exposure: ExposureSettings = field(default_factory=ExposureSettings)
     checks: CheckSettings = field(default_factory=CheckSettings)
     find_finger: bool = True
-    """False for calibration targets: the whole picture counts, and motion and focus are not
-    judged."""
+    """False for calibration targets: the whole picture is used, and motion and focus are not
+    checked."""
     images: Literal["png", "tiff"] = "png"
-    """Kind of the images' files, see :func:`splitknit.write_capture`; the verb takes ``tiff``."""
+    """File format of the images, see :func:`splitknit.write_capture`; the verb uses ``tiff``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Session:
-    """What came out."""
+    """Result of a session."""
 
     bands: Mapping[str, Band]
     shots: tuple[Shot, ...]  # in their order, ambient frames included
@@ -78,7 +78,8 @@ class Session:
 
     @property
     def seconds(self) -> float:
-        """From the first ambient frame to the end of the last lit one, by the camera's clock."""
+        """Time from the first ambient frame to the end of the last lit one, by the camera's
+        clock."""
         return self.shots[-1].at_s - self.shots[0].at_s
 
     def capture(self, rig: Rig, *, material: str = "skin") -> Capture:
@@ -87,8 +88,8 @@ class Session:
 
 
 def _check_fit(camera: CameraDevice, lights: LightBank, rig: Rig) -> dict[str, tuple[int, ...]]:
-    """Band to LEDs, white first, then ``white_crossed`` of a rig with films; refuse a rig file that
-    does not fit."""
+    """LEDs by band, white first, then ``white_crossed`` of a rig with films; refuse a rig file that
+    does not match the devices."""
     rows, columns = camera.image_size
     require(
         rig.camera.image_size == (rows, columns),
@@ -127,7 +128,7 @@ def _check_fit(camera: CameraDevice, lights: LightBank, rig: Rig) -> dict[str, t
 
 
 _BRIGHT_PERCENTILE = 99.5
-"""Of a calibration target, most of whose picture may be black."""
+"""Percentile for a calibration target, most of whose picture may be black."""
 
 
 def run_session(
@@ -139,9 +140,9 @@ def run_session(
     turn: Turn | None = None,
     progress: Progress = no_progress,
 ) -> Session:
-    """Photograph one finger under all LEDs; look at the verdict first. `turn`: of the analyser.
-    Raises BadInput if nothing can be captured: wrong rig, no finger, a dead LED, no exposure that
-    fits, nothing that turns the analyser.
+    """Photograph one finger under all LEDs; read the result's verdict first. `turn` turns the
+    analyser. Raises BadInput if nothing can be captured: wrong rig, no finger, a dead LED, no
+    suitable exposure, or nothing that turns the analyser.
     """
     settings = settings or SessionSettings()
     bands = _check_fit(camera, lights, rig)
@@ -239,7 +240,7 @@ def _meter(
     settings: SessionSettings,
     progress: Callable[[float], None],
 ) -> tuple[BoolArray, dict[str, Exposure]]:
-    """Preview the finger under every LED; find where it is on the previews' grid, and every band's
+    """Preview the finger under every LED; find its region on the previews' grid, and every band's
     exposure."""
     camera, lights = devices.camera, devices.lights
     region: BoolArray | None = None

@@ -1,5 +1,5 @@
-"""The shots of a capture: light, photograph, check while the finger still lies there, again if it
-went wrong."""
+"""The shots of a capture: light, photograph, check while the finger still lies there, repeat if a
+check fails."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ class CheckSettings(Checked):
     _group = "checks"
 
     moved_mm: Annotated[float, Limits(0, above=True)] = 0.13
-    """A finger that moved by more between two shots has moved. A changing light looks like up to
-    0.07 mm of motion. Coarse pictures measure less well: at least 1.5 pixels are allowed."""
+    """Largest motion between two shots. The change of light between shots mimics up to 0.07 mm of
+    motion. In coarse pictures motion is measured less accurately: at least 1.5 pixels are
+    allowed."""
     retries: Annotated[int, Limits(0, 20)] = 2
-    """How often a bad shot is taken again."""
+    """How often a bad shot is repeated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """What the checks keep of a shot: small copies."""
+    """Reduced copies of a shot, for the checks."""
 
     grey: FloatArray  # (h, w) light at the working scale, 1 = full scale
     # (h, w) its ridges: band-passed relative brightness, zero beside the finger
@@ -48,25 +49,26 @@ class Look:
 
 
 MAX_MISFIT = 0.09
-"""Light of a shot off what its preview promised, relative. Less than the 0.13 of a frame that was
-exposed a step of `EXPOSURE_STEP` less; a finger that moved by 0.5 mm changes 0.04. Chosen on:
-simulated fingers."""
+"""Largest relative difference between the light of a shot and that predicted by its preview. A
+frame exposed one `EXPOSURE_STEP` less differs by 0.13, a finger that moved by 0.5 mm by 0.04.
+Chosen on: simulated fingers."""
 _DRIFTED_MM = 0.12
-"""Against all shots of its band, the light's part taken off. Chosen on: simulated fingers (four at
-half scale; a light that changes place looks like up to 0.07 mm)."""
+"""Motion against all shots of the band, after the apparent motion caused by the light is
+subtracted. Chosen on: simulated fingers (four at half scale; a light that changes place looks like
+up to 0.07 mm)."""
 SHINE_PERCENTILE = 99.5
-"""Of the finger's pixels: its specular reflections reach it."""
+"""Percentile of the finger's pixels that represents its specular reflections."""
 
 
 class Examiner:
-    """Looks at shots: knows where the finger is and how dark it is without LEDs."""
+    """Checks shots, given the finger's region and its light without LEDs."""
 
     def __init__(
         self, region: BoolArray, px_per_mm: float, settings: CheckSettings, typical: float = MEDIAN
     ) -> None:
         """Prepare for the finger's `region` (h, w), on a grid of any size that covers the whole
         picture; `px_per_mm` of full-size shots; `typical`: percentile of the finger's pixels that
-        is its level.
+        represents its brightness.
         """
         self.settings, self._typical = settings, typical
         self.region = region
@@ -76,8 +78,7 @@ class Examiner:
             max(settings.moved_mm, measurable),
             max(_DRIFTED_MM, measurable),
         )
-        """Motion between two shots, and against all shots of a band, from which on the finger has
-        moved or drifted."""
+        """Limits of motion between two shots, and of drift against all shots of a band."""
         self._masks: dict[tuple[int, int], tuple[BoolArray, FloatArray]] = {}
 
     def look(self, frame: Frame) -> Look:
@@ -105,9 +106,9 @@ class Examiner:
         return Look(grey, details, level, saturated, coarse_light(frame))
 
     def misfit(self, light: FloatArray, promised: FloatArray, *, any_gain: bool = False) -> float:
-        """How far the light of the finger is off what a preview promised, relative, in the worst of
-        four strips of rows, as a part of a frame may be another's; `any_gain`: but for one
-        factor."""
+        """Relative difference between the light of the finger and that predicted by a preview, in
+        the worst of four strips of rows, because part of a frame may belong to another frame;
+        `any_gain`: up to one factor."""
         size = light.shape[1::-1]
         whole = cv2.resize(self.region.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         inside = whole > min(0.99, float(whole.max()) - 0.01)
@@ -123,20 +124,19 @@ class Examiner:
         return float((off / np.maximum(level, max(0.5 * level.mean(), 1e-9))).max())
 
     def shine(self, look: Look, dark: Look) -> float:
-        """Level of the finger's specular reflections in a shot, less that without LEDs, 1 = full
+        """Level of the finger's specular reflections in a shot, minus that without LEDs, 1 = full
         scale."""
         inside, _ = self._mask((look.grey.shape[0], look.grey.shape[1]))
         return float(np.percentile((look.grey - dark.grey)[inside], SHINE_PERCENTILE))
 
     def shift_mm(self, before: Look, after: Look, full_columns: int) -> float | None:
-        """How far the finger moved between two shots, or None if they show different things."""
+        """Motion of the finger between two shots, or None if they cannot be registered."""
         shift, response = cv2.phaseCorrelate(before.details, after.details)
         px = self._px_per_mm * before.details.shape[1] / full_columns
         return float(np.hypot(*np.divide(shift, px))) if response >= 0.2 else None
 
     def drift(self, looks: Sequence[Look], dark: Look, full_columns: int) -> Array:
-        """(L,) distance in mm of the finger in each shot of a band from its place in all of
-        them."""
+        """(L,) distance in mm of the finger in each shot of a band from its mean position."""
         stack = np.stack([look.grey - dark.grey for look in looks])
         inside, _ = self._mask((stack.shape[1], stack.shape[2]))
         px = self._px_per_mm * stack.shape[2] / full_columns
@@ -146,7 +146,7 @@ class Examiner:
         return np.asarray(np.where(reliable, length, 0.0), dtype=np.float64)
 
     def _mask(self, shape: tuple[int, int]) -> tuple[BoolArray, FloatArray]:
-        """The finger on a copy of `shape`, and the window that fades out beside it."""
+        """The finger's mask on a copy of `shape`, and a window that fades out beside it."""
         if shape not in self._masks:
             fraction = cv2.resize(
                 self.region.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA
@@ -178,13 +178,13 @@ class Shot:
     discarded: int  # frames that the camera threw away before it
     retries: int
     misfit: float | None
-    """Light off what the LED's preview promised at this exposure, relative; None for ambient
-    frames."""
+    """Relative difference between the light and that predicted by the LED's preview; None for
+    ambient frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Devices:
-    """Camera and lights that fit a rig."""
+    """Camera and lights that match a rig."""
 
     camera: CameraDevice
     lights: LightBank
@@ -192,10 +192,10 @@ class Devices:
 
 
 MAX_CROSSED = 0.93
-"""Light of crossed images over that of parallel ones, where the finger shines. Simulated fingers
-behind films have 0.47 (wet) to 0.91 (matt), a path-traced one 0.76; 1 is a film that is missing or
-did not turn. Chosen on: simulated fingers (behind films, wet to matt; a path-traced one). Range:
-0.91 to 1."""
+"""Largest ratio of the light of crossed images to that of parallel ones, where the finger has
+specular reflections. Simulated fingers behind films have 0.47 (wet) to 0.91 (matt), a path-traced
+one 0.76; a missing film, or one that did not turn, has 1. Chosen on: simulated fingers (behind
+films, wet to matt; a path-traced one). Range: 0.91 to 1."""
 
 
 class Shooting:
@@ -267,7 +267,7 @@ class Shooting:
         return self._names[led] + self._series
 
     def _ambient(self, exposure: Exposure) -> tuple[Frame, Look]:
-        """Photograph without LEDs, again where there is light that was not there before."""
+        """Photograph without LEDs; repeat if there is light that was not there before."""
         for _ in range(self._settings.retries + 1):
             frame, look = self._take()
             lit = min(float(light.mean()) for light in exposure.light.values())
@@ -280,7 +280,7 @@ class Shooting:
         return frame, look
 
     def _lit(self, led: int, dark: Look, exposure: Exposure) -> tuple[Frame, Look]:
-        """Photograph the finger under one LED, again where it went wrong."""
+        """Photograph the finger under one LED; repeat if a check fails."""
         for attempt in range(self._settings.retries + 1):
             if attempt:
                 self._lights.off()
@@ -309,7 +309,7 @@ class Shooting:
     def _examine(
         self, led: int, look: Look, dark: Look, exposure: Exposure
     ) -> tuple[float | None, float, list[tuple[str, str]]]:
-        """Motion in mm, misfit of the light, and what is wrong: kinds, and words."""
+        """Motion in mm, misfit of the light, and failed checks: their kinds, and messages."""
         name = self._name(led)
         light = look.light - dark.light
         crossed = bool(self._series)  # by how much darker is not known
@@ -366,7 +366,7 @@ class Shooting:
         return moved, misfit, troubles
 
     def check_drift(self) -> None:
-        """Look for slow motion after the last shot. Not under side lights, whose shadows pass for
+        """Check for slow motion after the last shot; not under side lights, whose shadows look like
         motion."""
         if not self._watch_motion or not self._steady:
             return
