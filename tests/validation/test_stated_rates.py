@@ -74,3 +74,14 @@ def test_misses_by_the_number_of_impressions_are_counted(
         ]
         share = unseen.misses(pairs, {0: 0.4}, [0], most)[0]
         assert share == pytest.approx(100 * np.mean(missed), abs=0.001)
+
+
+def test_of_two_tables_the_larger_rate_is_stated(script: Script) -> None:
+    at_least = script("impostors").at_least
+    one = {"what": "a", "impostors": 9, "similarity": [0.0, 2.0, 5.0], "fmr": [1.0, 0.5, 0.1]}
+    other = {"what": "b", "impostors": 99, "similarity": [1.0, 3.0], "fmr": [0.9, 0.2]}
+    both = at_least(one, other)
+    assert both["similarity"] == [0, 1, 2, 3, 5]
+    assert both["fmr"] == [1, 1, 0.9, 0.5, 0.2]
+    assert (both["impostors"], both["what"]) == (108, "of them 9 a; b")
+    assert both["measured"] is one
