@@ -5,7 +5,8 @@ validation/thesis/tables/claims.csv.
     python tools/make_claims_page.py --check    # exit code 1 if the page is out of date
 
 A row of the CSV file is one criterion: the thesis's section, his sentence in our words, the
-criterion in words and as a rule, what was measured with its interval, a note that stands beside it,
+criterion in words and as a rule, what was measured with its interval and on how many simulated
+fingers or what else (`on`), a note that stands beside it,
 a qualifier of the verdict, where the figures stand (the first place is linked), figures beside them
 and a command that do not stand on the page, and a sentence why the criterion follows from the
 thesis. The verdict follows from the rule alone:
@@ -67,13 +68,9 @@ def interval(measured: str, fingers: str = "") -> tuple[float, float]:
     if bounds:
         reach = without_width(measured, fingers) if min(bounds) == max(bounds) else 0.0
         return min(bounds) - reach, max(bounds) + reach
-    exact = re.fullmatch(rf"({NUMBER}) (exactly|or more|or less)", measured)
+    exact = re.fullmatch(rf"({NUMBER}) exactly", measured)
     assert exact is not None, f"no interval: {measured}"
-    value = float(exact[1])
-    return (
-        value if exact[2] != "or less" else -float("inf"),
-        value if exact[2] != "or more" else float("inf"),
-    )
+    return float(exact[1]), float(exact[1])
 
 
 def without_width(measured: str, fingers: str) -> float:
@@ -146,8 +143,8 @@ def tables(rows: Sequence[Row]) -> str:
     """One table for each of :data:`SECTIONS`, one criterion a row."""
     lines = []
     for first, heading in SECTIONS.items():
-        lines += ["", f"## {heading}", "", "|#|the thesis (section)|criterion|measured|verdict|"]
-        lines += ["|---|---|---|---|---|"]
+        lines += ["", f"## {heading}", "", "|#|the thesis (section)|criterion|measured|on|verdict|"]
+        lines += ["|---|---|---|---|---|---|"]
         lines += [f"|{'|'.join(cells(row))}|" for row in rows if section_of(row) == first]
     return "\n".join(lines[1:])
 
@@ -159,7 +156,7 @@ def section_of(row: Row) -> int:
 
 
 def cells(row: Row) -> tuple[str, ...]:
-    """Number, claim with its section, criterion, figure with its link, verdict."""
+    """Number, claim with its section, criterion, figure with its link, on how many, verdict."""
     judged = row["verdict"]
     unit = f" {row['unit']}" if judged.startswith("equal") and row["unit"] else ""
     qualifier = f", {row['qualifier']}" if row["qualifier"] else ""
@@ -172,6 +169,7 @@ def cells(row: Row) -> tuple[str, ...]:
         f"{row['claim']} ({row['section']})",
         criterion(row),
         "; ".join(filter(None, (measured, row["note"]))),
+        row["on"],
         f"{judged}{unit}{qualifier}",
     )
 

@@ -49,6 +49,7 @@ from splitknit.checks import check_mask
 from splitknit.errors import BadInput, naming, require
 from splitknit.files import read_bytes
 from splitknit.imaging.chunks import for_each_chunk
+from splitknit.imaging.pixels import srgb_code
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
 from splitknit.io.images import (
@@ -63,7 +64,9 @@ from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.stored import decode_table, linear_image
-from splitknit.separation.folder import LINEAR, MARKER, light_picture
+
+MARKER = "direct.tiff"
+LINEAR = "linear light, 1 = full scale of the images"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -572,6 +575,14 @@ NEGATIVE = (
 )
 _REPORTED_LEVEL = 0.1
 """Figures of the report are over pixels brighter than this fraction of the brightest."""
+
+
+def light_picture(light: FloatArray) -> NDArray[np.uint8]:
+    """8 bits for people: black to the 99.9th percentile, sRGB curve; black where nothing is
+    known."""
+    top = max(float(np.nanquantile(light, 0.999)), 1e-12)
+    scaled = np.clip(np.nan_to_num(light) / top, 0.0, 1.0)
+    return np.asarray(np.round(255 * srgb_code(scaled)), dtype=np.uint8)
 
 
 def separate_folder(

@@ -40,7 +40,6 @@ VERBS: dict[str, str] = {
         "simulate population --out {out} --subjects 1 --fingers left_index --scale 0.05 --workers 1"
     ),
     "capture": "capture --device twin --out {out} --seed 3 --scale 0.05 --overwrite",
-    "separate": "separate polarised {base}/flat {base}/flat --out {out}",
     "calibrate-camera": "calibrate camera {base}/bench/board --board 9x6 --square-mm 3 --out {out}",
     "calibrate-lights": (
         "calibrate lights --images {base}/nail --rig {base}/bench/rig_true.json --out {out}"

@@ -79,3 +79,4 @@ def test_scores_of_people_are_a_score_file(script: Script, tmp_path: Path) -> No
         ["0", "0.0"],
         ["1", "1.0"],
     ]
+    assert lines[1].endswith(",1,2"), "sessions have the names of splitknit batch's scores"

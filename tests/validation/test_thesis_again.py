@@ -37,7 +37,7 @@ def test_time_and_disk_are_stated_and_a_dry_run_makes_nothing(tmp_path: Path) ->
     out = tmp_path / "again"
     stated = reproduce("--out", out, "--people", 2, "--dry-run")
     assert re.search(
-        r"40 captures, 600 comparisons in 5 cases: about 8 minutes on 2 cores, 0\.7 GB on disk",
+        r"40 captures, 600 comparisons in 5 cases: about 7 minutes on 2 cores, 0\.7 GB on disk",
         stated,
     )
     assert not out.exists()

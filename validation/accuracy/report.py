@@ -79,7 +79,7 @@ def results_table(population: Tree, path_traced: Iterable[Mapping[str, str]]) ->
     lines = [
         f"| light, preset | fingers | {' | '.join(COLUMNS.values())} |",
         "| --- " * (2 + len(COLUMNS)) + "|",
-        f"| asked at least (aim) |  | {' | '.join(asked)} |",
+        f"| target (aim) |  | {' | '.join(asked)} |",
     ]
     for row in path_traced:
         cells = " | ".join(row.get(key, "") for key in COLUMNS)

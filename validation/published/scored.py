@@ -74,6 +74,7 @@ def _scores(
     subject, session, name = (
         list(part) for part in zip(*(capture.parts for capture in captures), strict=True)
     )
+    session = [part.removeprefix("session_") for part in session]  # as `splitknit batch` says
     finger = [f"{person}/{which}" for person, which in zip(subject, name, strict=True)]
     sides = [_side(features, people / capture, preset) for capture in captures]
     pairs = comparisons(finger, session)

@@ -344,11 +344,12 @@ def accuracies(rows: Sequence[Mapping[str, str]]) -> list[Any]:
             wanted = (case, "thesis", attribute, *judged)
             keys = ("case", "matcher", "attribute", "gate", "sessions", "kept")
             row = next((row for row in rows if tuple(row[key] for key in keys) == wanted), {})
-            if value := row.get(f"gar@{far}"):
+            value, ends = row.get(f"gar@{far}"), None
+            if value:
                 ends = tuple(
                     100.0 * float(row[f"gar@{far}_{end}_finger"]) for end in ("low", "high")
                 )
-                bars.append((case, 100.0 * float(value), ends))
+            bars.append((case, 100.0 * float(value or "nan"), ends))
         bars += [
             (f"{case}, thesis", value, None)
             for case, value in zip(("ea", "snk"), theirs, strict=True)

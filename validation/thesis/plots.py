@@ -49,7 +49,7 @@ def roc_figure(
                 name, (far, gar), (away, -8), textcoords="offset points", fontsize=7, ha=side
             )
         draw_roc(ax, drawn)
-        lowest = min((0.5 * far for _, far, _ in published), default=1.0)
+        lowest = min((0.2 * far for _, far, _ in published), default=1.0)
         ax.set_xlim(left=min(lowest, ax.get_xlim()[0]))
 
     return chart(draw)
@@ -97,8 +97,8 @@ def lines_figure(
 def bars_figure(
     groups: Sequence[tuple[str, Sequence[tuple[str, float, tuple[float, float] | None]]]],
 ) -> bytes:
-    """Upright bars in groups: of each a label and bars of a name, a percentage and the ends of its
-    interval."""
+    """Upright bars in groups: of each a label and bars of a name, a percentage (NaN where too few
+    impostors support it) and the ends of its interval."""
     names = dict.fromkeys(name for _, bars in groups for name, *_ in bars)
 
     def draw(ax: Any) -> None:
@@ -116,9 +116,10 @@ def bars_figure(
                             yerr=errors,
                             label=name if place == 0 else None,
                         )
-                        ax.annotate(f"{value:.1f}", (x, 2.0), ha="center", fontsize=7)
+                        words = "too\nfew" if np.isnan(value) else f"{value:.1f}"
+                        ax.annotate(words, (x, 2.0), ha="center", fontsize=7)
         ax.set_xticks(np.arange(len(groups)) + 0.3, [label for label, _ in groups])
-        ax.set(ylim=(0, 100), ylabel="%")
+        ax.set(xlim=(-0.2, len(groups) - 0.2), ylim=(0, 100), ylabel="%")
         ax.legend(ncols=2, loc="upper left", bbox_to_anchor=(0, 1.25))
 
     return chart(draw, wide=6.0)

@@ -2,7 +2,7 @@
 his beside ours.
 
     python validation/thesis/reproduce.py --out DIR  # as the thesis: 17 people, ten fingers
-    python validation/thesis/reproduce.py --out DIR --people 3 --sessions 2  # 7 minutes of 2 cores
+    python validation/thesis/reproduce.py --out DIR --people 3 --sessions 2  # 10 minutes of one core
     python validation/thesis/reproduce.py --out DIR --figures 5.4,5.5     # what these figures need
     python validation/thesis/reproduce.py --out DIR --scheduler tls://HOST:8786  # on a cluster
 
@@ -26,6 +26,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -46,7 +47,7 @@ SEED = 3170
 SIMULATE_S = 3.4  # processor time of a capture at scale 0.4, `docs/experiments/simulator.md`
 RECONSTRUCT_S = 11.0  # of a capture in all cases
 COMPARE_S = 0.28  # of a pair in all cases, three attributes each
-SPECTRA_S = 60.0  # of a capture of the part `figures`
+SPECTRA_S = 30.0  # of a capture of the part `figures`
 CAPTURE_MB = 18.0
 
 
@@ -141,6 +142,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(size.words(examined, options.jobs))
     if options.dry_run:
         return 0
+    if needed and not find_spec("matplotlib"):
+        raise SystemExit("figures need matplotlib: run make install EXTRAS=plot first.")
     plan_anew(options.out / "people", size)
     started = time.perf_counter()
     if needed:

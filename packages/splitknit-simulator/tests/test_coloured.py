@@ -22,6 +22,7 @@ from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
 MIXING = np.array(CROSSTALK)
+MOVED = {"moved-photograph", "double-photograph", "moved-finger", "undone-motion"}
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +47,7 @@ def test_a_coloured_capture_is_written_and_read(twin, tmp_path):
     assert result.mask.mean() > 0.1
     assert not any(COMPOSED in words for words in result.warnings)
     assert not any("bright as the rig file promises" in words for words in result.warnings)
+    assert not MOVED & {finding.code for finding in result.findings}, "the finger lies still"
 
 
 def test_a_rig_file_names_colours_and_crosstalk_only_where_stated(tmp_path):
@@ -120,6 +122,7 @@ def test_white_images_become_coloured_exposures(white):
     assert coloured.bands["nir"] is white.bands["nir"]
     result = reconstruct(white, "lin")
     assert f"2 coloured exposures were {COMPOSED}" in result.warnings
+    assert not MOVED & {finding.code for finding in result.findings}, "the finger lies still"
     plain = reconstruct(coloured, "lin")
     np.testing.assert_array_equal(result.height_mm, plain.height_mm)
 

@@ -33,10 +33,6 @@ VERBS = {
         ),
     ),
     "reconstruct": (CORE, "turn a capture folder, photographs or a normal map into a surface"),
-    "separate": (
-        CORE,
-        "split a photograph of skin into direct and global light, or polarised ones",
-    ),
     "capture": (RIG, "photograph a finger under all LEDs: with the rig, or with its twin"),
     "calibrate": (RIG, "measure a rig: its camera, its lights, its sensor, its films"),
     "rig": (RIG, "draw the targets that calibrate a rig; test a rig that was built"),

@@ -38,9 +38,9 @@ def surface_bytes(
     require(len(mesh.faces) > 0, _NO_SURFACE)
     visual = _texture(result, mesh)
     if kind != "glb":
-        opaque = np.full(len(mesh.places), 255, dtype=np.uint8)
-        colours = surface_colours(result)[mesh.pixels]
-        visual = trimesh.visual.ColorVisuals(vertex_colors=np.column_stack([colours, opaque]))
+        # of a solid, the base has the colours of the surface above it
+        colours = np.resize(surface_colours(result)[mesh.known], (len(mesh.places), 3))
+        visual = trimesh.visual.ColorVisuals(vertex_colors=np.insert(colours, 3, 255, axis=1))
     facts = {"vertices": len(mesh.places), "faces": len(mesh.faces), "unit": "mm"}
     words = {"title": title, "axes": axes_of(result.facts.get("material"))}
     body: Any = trimesh.Trimesh(
@@ -78,8 +78,8 @@ def _solid(result: Reconstruction, base_mm: float) -> Mesh:
         crossing = np.bincount(border[:, 0], minlength=len(top.places)) > 1
         if not crossing.any():
             break
-        mask = result.mask.copy()
-        mask[tuple(axis[crossing] for axis in top.pixels)] = False
+        mask = top.known.copy()
+        mask[mask] = ~crossing
         result = replace(result, mask=mask)
     count = len(top.places)
     below = top.places.copy()
@@ -91,7 +91,7 @@ def _solid(result: Reconstruction, base_mm: float) -> Mesh:
         np.concatenate([top.places, below]),
         np.tile(top.normals, (2, 1)),
         np.concatenate(faces),
-        (np.tile(top.pixels[0], 2), np.tile(top.pixels[1], 2)),
+        top.known,
     )
 
 
@@ -104,8 +104,8 @@ def _texture(result: Reconstruction, mesh: Mesh) -> Any:
     box = bounding_box(result.mask)
     picture = surface_colours(result)[box]
     down, right = (
-        (pixel - side.start + 0.5) / length
-        for pixel, side, length in zip(mesh.pixels, box, picture.shape, strict=False)
+        (pixel + 0.5) / length
+        for pixel, length in zip(np.nonzero(mesh.known[box]), picture.shape, strict=False)
     )
     material = PBRMaterial(
         baseColorTexture=Image.fromarray(picture),

@@ -87,6 +87,8 @@ class _Response(NamedTuple):
     """By shading, in colours."""
     height: float
     """Over half width, in colours."""
+    surface: FloatArray
+    """(h, w) height in mm on the pixels that are looked at."""
 
 
 def doubt_of_response(
@@ -101,7 +103,7 @@ def doubt_of_response(
     inside = inside[::every, ::every]
     # width of the rim beside the outline that is not used
     core = erode(inside, 0.6 / (every * observation.rig.camera.pitch_mm))
-    responses = []
+    responses: list[_Response] = []
     for name in ("white", "nir"):
         band = observation.bands.get(name)
         if (
@@ -111,7 +113,8 @@ def doubt_of_response(
             or core.sum() < 1000  # pixels of the coarse images from which the response shows, in px
         ):
             continue
-        response = _response(band, inside, core, every)
+        surface = responses[0].surface if responses else None
+        response = _response(band, inside, core, every, surface)
         if isinstance(response, ResponseDoubt):
             return response
         responses.append(response)
@@ -150,10 +153,10 @@ Chosen on: simulated fingers (180 in all conditions). Range: 0.001 to 0.037."""
 
 
 def _response(
-    band: Light, inside: BoolArray, core: BoolArray, every: int
+    band: Light, inside: BoolArray, core: BoolArray, every: int, surface: FloatArray | None
 ) -> _Response | ResponseDoubt:
     """How a band's images answer to the light; a doubt where their colours or clipping show that
-    they do not."""
+    they do not. `surface`: as another band shows it."""
     coloured = band.name == "white" and band.has_colour
     channels = band.channels if coloured else ("grey",)
     sampled = band.sampled(every)
@@ -166,7 +169,13 @@ def _response(
         file = band.image_names[image]
         words = CLIPPED.format(100 * clipped, file, channels[colour] if coloured else "grey")
         return ResponseDoubt(Finding("clipped-photograph", words, Severity.DOUBT, files=(file,)))
-    surface, vectors = _coarse_surface(stack.sum(axis=0), band, inside, every)
+    view = view_of(band.built.camera, along_rays=True)
+    pixels = (np.s_[::every],) * view.x_mm.ndim
+    view = View(view.x_mm[pixels], view.y_mm[pixels], view.apex_mm, view.along_rays)
+    if surface is None:
+        surface = _coarse_surface(stack.sum(axis=0), sampled, inside, view)
+    points = view.points(surface + _RESPONSE_PLANE_MM)
+    vectors = view.turned(light_vectors_at(band.rig, *points))
     towards = vectors[..., core]
     gains = image_gains(light, towards)
     if (spread := colour_spread(gains)) > _COLOUR_SPREAD:
@@ -183,6 +192,7 @@ def _response(
         band.image_names,
         shading_exponent(light[1:], towards) if coloured else float("nan"),
         height_over_half_width(surface, inside, sampled.pitch_mm) if coloured else float("nan"),
+        surface,
     )
 
 
@@ -225,23 +235,15 @@ def _doubt_of_tone(responses: Sequence[_Response], encodings: bool) -> ResponseD
 _RESPONSE_PLANE_MM = 1.0  # mean height of the skin above the finger plane, about
 
 
-def _coarse_surface(
-    stack: FloatArray, band: Light, inside: BoolArray, every: int
-) -> tuple[FloatArray, FloatArray]:
-    """Height (h, w) in mm by near-light photometric stereo, and light vectors (L, 3, h, w) on
-    it."""
-    camera, rig = band.built.camera, band.rig
-    view = view_of(camera, along_rays=True)
-    pixels = (np.s_[::every],) * view.x_mm.ndim
-    view = View(view.x_mm[pixels], view.y_mm[pixels], view.apex_mm, view.along_rays)
+def _coarse_surface(stack: FloatArray, sampled: Light, inside: BoolArray, view: View) -> FloatArray:
+    """Height (h, w) in mm by near-light photometric stereo."""
     height_mm = np.zeros(inside.shape, dtype=np.float32)
     for _ in range(2):
-        g = pseudo_normals(stack, rig, height_mm + _RESPONSE_PLANE_MM, inside, view=view)
+        g = pseudo_normals(stack, sampled.rig, height_mm + _RESPONSE_PLANE_MM, inside, view=view)
         z = np.maximum(g[..., 2], 0.15 * np.sqrt((g * g).sum(axis=-1)) + 1e-9)
-        height = poisson(-g[..., 0] / z, -g[..., 1] / z, inside) * (every * camera.pitch_mm)
+        height = poisson(-g[..., 0] / z, -g[..., 1] / z, inside) * sampled.pitch_mm
         height_mm = np.nan_to_num(height).astype(np.float32)
-    points = view.points(height_mm + _RESPONSE_PLANE_MM)
-    return height_mm, view.turned(light_vectors_at(rig, *points))
+    return height_mm
 
 
 def image_gains(stack: FloatArray, vectors: FloatArray) -> Array:

@@ -86,11 +86,13 @@ def upright_places(
     `xy_mm`: those of a perspective camera in the rig's frame, (H, W)."""
     if xy_mm is None:
         height, width = shape
-        x = ((np.arange(width) - (width - 1) / 2) * pitch_mm)[None, part[1]]
-        y = (((height - 1) / 2 - np.arange(height)) * pitch_mm)[part[0], None]
+        columns = np.arange(width, dtype=np.float32)
+        rows = np.arange(height, dtype=np.float32)
+        x = ((columns - (width - 1) / 2) * pitch_mm)[None, part[1]]
+        y = (((height - 1) / 2 - rows) * pitch_mm)[part[0], None]
     else:
         x, y = (field[part] for field in xy_mm)
-    turn = upright_turn(input_from_upright)
+    turn = upright_turn(input_from_upright).astype(np.float32)
     return turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
 
 

@@ -220,15 +220,15 @@ class Mesh:
     """(N, 3)."""
     faces: NDArray[np.int32]
     """(M, 3), counter-clockwise seen from outside."""
-    pixels: tuple[NDArray[np.int64], NDArray[np.int64]]
-    """Row and column (N,) of each vertex on the input's pixel grid."""
+    known: BoolArray
+    """(H, W) pixels of the vertices on the input's grid."""
 
 
-def mesh_of(result: Reconstruction, step: int = 1) -> Mesh:
-    """The surface of a result in every `step`-th pixel of rows and columns."""
-    rows, columns = bounding_box(result.mask)
-    kept = (slice(rows.start, rows.stop, step), slice(columns.start, columns.stop, step))
-    valid = result.mask[kept] & np.isfinite(result.height_mm[kept])
+def mesh_of(result: Reconstruction) -> Mesh:
+    """The surface of a result."""
+    kept = bounding_box(result.mask)
+    known = result.mask & np.isfinite(result.height_mm)
+    valid = known[kept]
     faces, _ = triangulate(valid)
     frame = result.input_from_upright
     xy_mm = None if result.x_mm is None or result.y_mm is None else (result.x_mm, result.y_mm)
@@ -237,9 +237,7 @@ def mesh_of(result: Reconstruction, step: int = 1) -> Mesh:
     places = np.stack(fields, axis=1, dtype=np.float32, casting="same_kind")
     normals = result.normals[kept][valid]
     normals[:, :2] = normals[:, :2] @ upright_turn(frame).T.astype(np.float32)
-    row, column = np.nonzero(valid)
-    pixels = rows.start + step * row, columns.start + step * column
-    return Mesh(result.unit.heights(places), normals, faces, pixels)
+    return Mesh(result.unit.heights(places), normals, faces, known)
 
 
 def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
@@ -251,8 +249,8 @@ def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
         f"inputs_sha256 {settings_hash(origin['inputs'])}",
     ]
     mesh = mesh_of(result)
-    intensity = albedo_bytes(result)[mesh.pixels] * np.float32(1.0 / 255.0)
-    colours = None if result.colour is None else surface_colours(result)[mesh.pixels]
+    intensity = albedo_bytes(result)[mesh.known] * np.float32(1.0 / 255.0)
+    colours = None if result.colour is None else surface_colours(result)[mesh.known]
     write_ply(path, (mesh.places, mesh.normals, intensity), mesh.faces, comments, colours)
 
 

@@ -203,7 +203,7 @@ def metric_skin(
         "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
         "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
         "colour": colour,
-        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.glare.items()},
+        "glare": dict(shape.glare),
         **estimate.facts,
     }
     return SkinSurface(

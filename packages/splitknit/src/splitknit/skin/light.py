@@ -7,7 +7,7 @@ the light, not of the skin, and it moves with the light; both properties separat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,91 +37,59 @@ def fresnel_reflectance(cosine: Any, index: float = 1.42) -> FloatArray:
     return np.asarray(0.5 * (s * s + p * p))
 
 
-class MicrofacetGlare:
-    """Glare under each light, for a viewer along z and an irradiance of one at normal incidence, by
-    its roughness.
+ROUGHNESS = 0.3
+"""Roughness (GGX alpha) of the skin's boundary: fitted ones, between 0.12 and 0.42, change the
+surface by -0.5 % on average. Chosen on: simulated fingers (eight, and four path-traced ones)."""
+
+
+def microfacet_glare(normals: FloatArray, lights: FloatArray) -> FloatArray:
+    """(L, ...) glare under each light, for a viewer along z and an irradiance of one at normal
+    incidence.
 
     `normals` (..., 3); `lights` (L, 3, ...): direction towards the light times its irradiance. B.
     Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, eq. 20, 33
     and 34.
     """
-
-    def __init__(self, normals: FloatArray, lights: FloatArray) -> None:
-        """Keep what does not depend on the roughness."""
-        planes = np.ascontiguousarray(np.moveaxis(normals, -1, 0))
-        nz, strength = planes[2], np.sqrt((lights * lights).sum(axis=1))
-        safe = np.maximum(strength, 1e-12)
-        cosine = shading(planes, lights) / safe
-        length = np.sqrt(np.maximum(2 * (lights[:, 2] / safe + 1), 1e-12))  # of light plus view
-        half = np.clip((cosine + nz) / length, 0, 1)
-        self._half_squared = half * half
-        self._incoming = np.maximum(cosine, 1e-4)
-        self._mirrored = np.where(cosine > 0, fresnel_reflectance(length / 2) * strength, 0.0)
-        self._view = np.clip(nz, 0.05, 1)
-
-    def __call__(self, roughness: float) -> FloatArray:
-        """(L, ...) float32 for a roughness (GGX alpha)."""
-        a2 = np.float32(roughness**2)
-        masking = _one_way(self._view, a2) / (4 * self._view)
-        falloff = self._half_squared * (a2 - 1) + 1
-        spread = a2 / (np.pi * falloff * falloff)
-        return np.asarray(spread * masking * _one_way(self._incoming, a2) * self._mirrored)
+    planes = np.ascontiguousarray(np.moveaxis(normals, -1, 0))
+    strength = np.sqrt((lights * lights).sum(axis=1))
+    safe = np.maximum(strength, 1e-12)
+    cosine = shading(planes, lights) / safe
+    length = np.sqrt(np.maximum(2 * (lights[:, 2] / safe + 1), 1e-12))  # of light plus view
+    half = np.clip((cosine + planes[2]) / length, 0, 1)
+    mirrored = np.where(cosine > 0, fresnel_reflectance(length / 2) * strength, 0.0)
+    view = np.clip(planes[2], 0.05, 1)
+    a2 = np.float32(ROUGHNESS**2)
+    falloff = half * half * (a2 - 1) + 1
+    spread = a2 / (np.pi * falloff * falloff)
+    masking = _one_way(view, a2) * _one_way(np.maximum(cosine, 1e-4), a2) / (4 * view)
+    return np.asarray(spread * masking * mirrored, dtype=np.float32)
 
 
 def _one_way(cosine: FloatArray, a2: np.float32) -> FloatArray:
     return 2 * cosine / (cosine + np.sqrt(a2 + (1 - a2) * cosine * cosine))
 
 
-@dataclass(frozen=True, slots=True)
-class GlareFit:
-    """Glare that best explains what no matt surface explains."""
+def glare_strength(stack: FloatArray, lights: FloatArray, glare: FloatArray) -> float:
+    """Factor on the `glare` (L, n), not negative, that explains most of what no matt surface
+    explains of `stack` (L, n): images of one channel, L >= 4, at n pixels that all lights reach.
 
-    roughness: float  # GGX alpha
-    strength: float  # factor on :class:`MicrofacetGlare`, in the images' units; never negative
-    explained: float  # part of the squared residual that it explains
-
-
-_ROUGHNESSES = (0.12, 0.16, 0.20, 0.25, 0.30, 0.36, 0.42)
-"""Roughnesses (GGX alpha) of the specular reflection that are tried. Chosen on: judgement. Range: 1
-to 1.4 times these values (validation/parameters)."""
-
-
-def fit_glare(
-    stack: FloatArray, lights: FloatArray, model: Callable[[float], FloatArray]
-) -> GlareFit:
-    """Strength and roughness of the glare in `stack` (L, n) of one band, L >= 4, at n pixels that
-    all lights reach.
-
-    `lights`: (L, 3, n); `model`: glare (L, n) of strength one, as of :class:`MicrofacetGlare`. Both
-    images and glare are taken without the space of matt images, which the pixel's light vectors
-    span.
+    `lights`: (L, 3, n). Both images and glare are taken without the space of matt images, which
+    the pixel's light vectors span.
     """
     if stack.shape[0] < 4 or stack.shape[1] == 0:
-        return GlareFit(_ROUGHNESSES[0], 0.0, 0.0)
+        return 0.0
     matt = np.linalg.qr(np.moveaxis(lights, -1, 0))[0]  # (n, L, 3), orthonormal
-
-    def beyond(images: FloatArray) -> FloatArray:
-        return np.asarray(
-            images - np.einsum("nlk,nk->ln", matt, np.einsum("nlk,ln->nk", matt, images))
-        )
-
-    return best_lobe(beyond(stack), lambda roughness: beyond(model(roughness)))
+    left, lobe = (
+        images - np.einsum("nlk,nk->ln", matt, np.einsum("nlk,ln->nk", matt, images))
+        for images in (stack, glare)
+    )
+    return factor_of(lobe, left)
 
 
-def best_lobe(left: FloatArray, lobe_of: Callable[[float], FloatArray]) -> GlareFit:
-    """The lobe that explains most of what is `left` (L, n): roughness by search, strength by least
-    squares."""
-    best = GlareFit(_ROUGHNESSES[0], 0.0, 0.0)
-    total = float((left * left).sum(dtype=np.float64))
-    for roughness in _ROUGHNESSES:
-        lobe = lobe_of(roughness)
-        power = float((lobe * lobe).sum(dtype=np.float64))
-        product = max(float((lobe * left).sum(dtype=np.float64)), 0.0)
-        if power > 0 and product * product / power > best.explained * total:
-            best = GlareFit(
-                roughness, product / power, product * product / power / max(total, 1e-30)
-            )
-    return best
+def factor_of(lobe: FloatArray, light: FloatArray) -> float:
+    """Factor on the lobe, not negative, that is nearest to the light, both (L, n)."""
+    power = float((lobe * lobe).sum(dtype=np.float64))
+    return max(float((lobe * light).sum(dtype=np.float64)), 0.0) / max(power, 1e-30)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

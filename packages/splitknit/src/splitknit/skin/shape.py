@@ -4,9 +4,8 @@ reflection."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
@@ -17,13 +16,12 @@ from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid, Slopes, coarsen, refine
 from splitknit.skin.light import (
-    GlareFit,
     Lighting,
-    MicrofacetGlare,
-    best_lobe,
+    factor_of,
     fine_lighting,
-    fit_glare,
+    glare_strength,
     lighting,
+    microfacet_glare,
     predict,
     reached_by_all,
 )
@@ -55,8 +53,8 @@ class Shape:
     facing: FloatArray  # (h, w) z component of the normals: weights of the integration
     # diffuse brightness of each channel over the prediction for an albedo of one
     brightness: Mapping[str, float]
-    glare: Mapping[str, tuple[float, float]]
-    """Roughness and strength of the specular reflection by the last channel of each band."""
+    glare: Mapping[str, float]
+    """Strength of the specular reflection by the last channel of each band."""
 
 
 COARSE_PITCH_MM = 0.106
@@ -114,12 +112,10 @@ def on_fine_grid(height_mm: FloatArray, images: CoarseImages) -> FloatArray:
 
 
 def white_light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
-    """The white lights, on the fine grid, on the shape without what ridges leave on the coarse
-    grid."""
+    """The white lights, on the fine grid, on the shape."""
     low = images.grid
     height = refine(above_plane(height_mm, images), low.mask, 1, low.shape)
-    smooth = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=height.dtype)
-    return fine_lighting(images.white.rig, low, smooth, images.factor, images.fine)
+    return fine_lighting(images.white.rig, low, height, images.factor, images.fine)
 
 
 def _start_shape(band: BandImages, grid: Grid, plane_mm: float) -> FloatArray:
@@ -160,7 +156,7 @@ class Residual:
 
     slopes: Mapping[str, Slopes]  # by channel, behind the skin's blur
     brightness: Mapping[str, float]
-    glare: Mapping[str, tuple[float, float]]
+    glare: Mapping[str, float]
     bands: tuple[tuple[str, ...], ...]  # channels of each band
 
 
@@ -181,8 +177,8 @@ def residual_of(
     normals = normals_from_gradients(*slopes_inside(height_mm, grid))
     slopes: dict[str, Slopes] = {}
     brightness: dict[str, float] = {}
-    glare: dict[str, tuple[float, float]] = {}
-    specular: GlareFit | None = None
+    glare: dict[str, float] = {}
+    first: tuple[float, float] | None = None  # strength and exposure of the first band
     for band in bands:
         light = lighting(band.rig, grid, height_mm, normals)
         # predicted: I_c = a_c M_c * (T(n.l) max(s.n, 0)), its brightness a_c measured where the
@@ -190,34 +186,25 @@ def residual_of(
         predicted = predict(
             light, grid, normals, [grid.sampled(optics[name]) for name in band.channels]
         )
-        lobe = MicrofacetGlare(normals, light.vectors)
+        lobe = microfacet_glare(normals, light.vectors)
         reached = reached_by_all(light, grid)
         # the third of lights and pixels with the weakest lobe, whatever its exact strength
-        weak = lobe(0.3)
-        matt = (weak <= np.quantile(weak[:, reached], 1 / 3)) & reached
+        matt = (lobe <= np.quantile(lobe[:, reached], 1 / 3)) & reached
         level = _scaled_to(band.stack, predicted, matt)
         exposure = level[0] / optics[band.channels[0]].albedo
         # specular: one surface reflects in all bands; their exposures differ, as their diffuse
         # light shows
-        if specular is None:
+        if first is None:
             if len(band.channels) > 1:
-                specular = _specular_by_colour(
-                    band.stack - predicted, level, light, normals, _some(reached)
-                )
+                white = _white_part(band.stack - predicted, level)
+                strength = factor_of(lobe[:, reached], white[:, reached])
             else:
-                region = _some(reached)  # what no matt surface explains
-                vectors = light.vectors[:, :, region]
-                lit = vectors * light.entering[:, None][:, :, region]
-                specular = fit_glare(
-                    band.stack[-1][:, region], lit, MicrofacetGlare(normals[region], vectors)
-                )
-            specular = replace(
-                specular, strength=min(specular.strength, _MAX_SPECULAR * float(np.pi) * exposure)
-            )
-            exposure_of_white = exposure
-        strength = specular.strength * exposure / exposure_of_white
-        glare[band.channels[-1]] = (specular.roughness, strength)
-        diffuse = band.stack - lobe(specular.roughness) * strength * grid.mask
+                lit = (light.vectors * light.entering[:, None])[:, :, reached]
+                strength = glare_strength(band.stack[0][:, reached], lit, lobe[:, reached])
+            first = min(strength, _MAX_SPECULAR * float(np.pi) * exposure), exposure
+        strength = first[0] * exposure / first[1]
+        glare[band.channels[-1]] = strength
+        diffuse = band.stack - lobe * strength * grid.mask
         correction = _scaled_to(diffuse, predicted, matt)
         # residual: slopes that the measured pseudo-normals have beyond the predicted ones
         both = np.concatenate([diffuse, predicted]).astype(np.float32)
@@ -290,30 +277,11 @@ def _scaled_to(measured: FloatArray, predicted: FloatArray, where: BoolArray) ->
     return factors
 
 
-def _specular_by_colour(
-    excess: FloatArray,
-    brightness: Sequence[float],
-    light: Lighting,
-    normals: FloatArray,
-    region: BoolArray,
-) -> GlareFit:
-    """Lobe of a colour band: the part of the `excess` (C, L, h, w) over the prediction that is
-    equal in all channels. By least squares over the channels, per pixel and light, the excess is a
-    part with the skin's colour (the shape is not right yet) and a white one, to which strength and
-    roughness are fitted.
-    """
-    excess = excess[:, :, region]
+def _white_part(excess: FloatArray, brightness: Sequence[float]) -> FloatArray:
+    """(L, h, w) the part of the `excess` (C, L, h, w) over the prediction that is equal in all
+    channels: by least squares it is a white part and one of the skin's colour, as the shape is not
+    right yet."""
     skin = np.array(brightness, dtype=np.float32)
-    total = skin.sum()
-    power = (skin * skin).sum()
-    tinted = np.einsum("c,cln->ln", skin, excess)
-    white = excess.sum(axis=0) * power - total * tinted
-    white /= max(float(len(skin) * power - total * total), 1e-9)
-    return best_lobe(white, MicrofacetGlare(normals[region], light.vectors[:, :, region]))
-
-
-def _some(region: BoolArray) -> BoolArray:
-    """Every other row of a large region."""
-    if int(region.sum()) < 8000:
-        return region
-    return region & (np.arange(len(region)) % 2 > 0)[:, None]
+    total, power = skin.sum(), skin @ skin
+    white = power * excess.sum(axis=0) - total * np.tensordot(skin, excess, 1)
+    return np.asarray(white / max(float(len(skin) * power - total * total), 1e-9))
