@@ -77,11 +77,11 @@ from splitknit_match.matching.score import DECISION_FORMAT, read_own_rates
 from splitknit_match.matching.template import VERSION, Template, make_template, pack, unpack
 from splitknit_match.prints.fingerphoto import read_fingerphoto
 from splitknit_match.prints.from_file import (
-    _ridge_period_px,
     minutiae_of,
     read_one_finger,
     read_print_file,
     read_print_folder,
+    ridge_period_px,
 )
 from splitknit_match.prints.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit_match.prints.sources import read_source
@@ -907,9 +907,7 @@ def _print_file(folder, files):
 
     def measured():
         return [
-            _ridge_period_px(item.image)
-            for item in read_prints(path)
-            if isinstance(item, PrintFile)
+            ridge_period_px(item.image) for item in read_prints(path) if isinstance(item, PrintFile)
         ]
 
     return _any(

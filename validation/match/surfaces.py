@@ -1,10 +1,11 @@
 """Surfaces against presses: false match rates of prints that nothing touched, and what is missed.
 
-    python validation/match/surfaces.py --work FOLDER --write    # 60 fingers; ten minutes
+    python validation/match/surfaces.py --work FOLDER --write    # 100 fingers; ten minutes
 
 True surfaces of simulated fingers, in poses drawn from the twin's ranges, are unrolled as
 ``splitknit print`` does and compared with presses of the same and of all other fingers, and with
-each other. Writes ``match_fmr_contactless*.json`` beside ``splitknit_match.matching.methods``, and
+each other. Thresholds are upper ends, as ``unseen.py`` has them. Writes
+``match_fmr_contactless*.json`` beside ``splitknit_match.matching.methods``, and
 ``tables/surfaces.csv``. FOLDER keeps the prints.
 """
 
@@ -17,9 +18,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from impostors import FINE, ship, table_of
+from impostors import FINE, ship
 from numpy.typing import NDArray
 from pressed_prints import SENSORS, press
+from unseen import Pairs, table
 
 from splitknit.io.csv_table import csv_text
 from splitknit_match.evaluation.rates import roc
@@ -84,7 +86,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--fingers", type=int, default=60)
+    parser.add_argument("--fingers", type=int, default=100)
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     cv2.setNumThreads(1)
@@ -102,17 +104,22 @@ def main() -> None:
     }
     pairs: dict[str, tuple[list[Compared], list[Compared]]] = {}
     for name, (what, others, chosen) in sides_of.items():
-        genuine, impostors = [], []
+        genuine, impostors, ends = [], [], []
         for i, j in chosen:
             pair = compare_templates("fusion", surfaces[i], others[j])
+            if pair.scores != name:
+                continue
             (genuine if i == j else impostors).append(pair)
-        own = [pair for pair in impostors if pair.scores == name]
-        pairs[name] = own, [pair for pair in genuine if pair.scores == name]
+            if i != j and pair.compared:
+                ends.append((i, j, pair.similarity))
+        pairs[name] = impostors, genuine
         if options.write:
-            scores = [pair.similarity for pair in own if pair.compared]
+            a, b, similarity = np.array(ends).T
+            none = np.zeros(len(a), bool)
+            fingers = a.astype(int), b.astype(int)
             by = "validation/match/surfaces.py --write"
-            ship(name, table_of(scores, what, by, seed=SEED))
-        print(name, len(own), flush=True)
+            ship(name, table(Pairs(*fingers, *fingers, similarity, none), what, by))
+        print(name, len(impostors), flush=True)
     for name, (own, genuine) in pairs.items():
         rows.append(rows_of(name, own, genuine))
         print(dict(zip(HEADER, rows[-1], strict=True)), flush=True)

@@ -4,6 +4,7 @@ overlaps.
     python validation/match/windows.py --compare 24000  # adds to the cache, in a fixed order
     python validation/match/windows.py  # fits, rates and tables from what was compared
     python validation/match/windows.py --write  # and writes what the matcher ships
+    python validation/match/windows.py --sensors --write  # small sensors, eight touches; 15 minutes
 
 Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the
 middle of its ridges, one where it is drawn. *Whole*: a window against a whole print of the same
@@ -24,14 +25,16 @@ from typing import Any
 
 import cv2
 import numpy as np
-from fvc import KNOWN, REAL, Image, Job, features_of, logistic, prints
-from impostors import ship, table_of
+from fvc import KNOWN, REAL, Image, Job, features_of, logistic, prints, turned
+from impostors import FOLDER, at_least, ship, table_of
 from numpy.typing import NDArray
 from scipy.stats import binomtest
+from unseen import Pairs, table, thresholds
 
 from splitknit_match.evaluation.rates import roc
 from splitknit_match.matching import fusion
 from splitknit_match.matching.fusion import SMALL_MM2, fused_match
+from splitknit_match.matching.methods import TABLES, fmr_basis
 from splitknit_match.matching.ridge import Prepared
 
 HERE = Path(__file__).resolve().parent
@@ -347,7 +350,9 @@ def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float6
     return facts, score, fitted(rows)
 
 
-def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants) -> None:
+def write(
+    facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants, cache: Path
+) -> None:
     """Figures, and the table of small prints that the matcher ships; constants are copied by hand
     into ``matching/fusion.py``."""
     score = scored(rows, constants)
@@ -355,15 +360,126 @@ def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants
     small = ~np.isnan(rows[:, 9])
     part = (rows[:, 0] != PRINTS) & small & ~same & (np.nan_to_num(rows[:, 9]) >= RATED_MM2)
     what = "windows of 16 to 100 mm² of real prints of seven sensors"
-    areas = {"rated_mm2": RATED_MM2, "excluded_mm2": EXCLUDED_MM2}
-    ship("windows", table_of(score[part], what, "validation/match/windows.py", **areas))
+    touches = np.concatenate([np.load(cache / f"sensor_{k}.npy") for k in range(len(SENSORS_PX))])
+    ship_small(table_of(score[part], what, "validation/match/windows.py"), impostors_of(touches))
     document = {
         "fitted": {
             "overlap": constants.overlap.tolist(),
             "overlap_and_minutiae": constants.both.tolist(),
         }
     }
+    known = json.loads(OUT.read_text(encoding="utf-8")) if OUT.is_file() else {}
+    document["sensors"] = known.get("sensors")
     OUT.write_text(json.dumps({**document, **facts}, indent=1) + "\n", encoding="utf-8")
+
+
+SENSORS_PX = {"64 x 80": (80, 64), "80 x 80": (80, 80), "103 x 52": (52, 103)}
+"""Rows and columns of small sensors at 500 ppi."""
+ENROLLED = 8
+"""Touches enrolled."""
+MAX_TURN_DEG = 45.0
+BY_WINDOWS = 2.02098
+"""Threshold at the same rate by the windows alone: the highest score of 7,236 impostors."""
+SPREAD = 0.5
+"""Of places of touches about the middle of the ridges, over that of the ridges."""
+
+
+def touch(image: Image, size: tuple[int, int], rng: np.random.Generator) -> Image:
+    """What a small sensor of some rows and columns sees of a print that is turned."""
+    turned_ = turned(image, float(rng.uniform(-MAX_TURN_DEG, MAX_TURN_DEG)))
+    rows, columns = ridges(turned_)
+    k = rng.integers(len(rows))
+    places = []
+    for line, side, whole in zip((rows, columns), size, turned_.shape, strict=True):
+        middle = line.mean() + SPREAD * (line[k] - line.mean())
+        places.append(int(np.clip(round(middle - side / 2), 0, whole - side)))
+    top, left = places
+    return np.ascontiguousarray(turned_[top : top + size[0], left : left + size[1]])
+
+
+def sensors(job: Job) -> dict[str, NDArray[np.float64]]:
+    """Comparisons of touches of small sensors: every fourth impression of a finger is a probe, against eight
+    touches of the others, of its finger and of twelve others, four of them of its sensor."""
+    fingers = [
+        images[k : k + 8]
+        for images in (prints(name, job)[0] for name in SETS)
+        for k in range(0, len(images), 8)
+    ]
+    compared = {}
+    for number, (name, size) in enumerate(SENSORS_PX.items()):
+        file = job.cache / f"sensor_{number}.npy"
+        if not file.is_file():
+            rng = np.random.default_rng([SEED, 3, number])
+            enrolled, probes = [], []
+            for images in fingers:
+                kept = [image for k, image in enumerate(images) if k not in (3, 7)]
+                touches = [touch(kept[n % 6], size, rng) for n in range(ENROLLED)]
+                enrolled.append([Prepared(features_of(each, "template", job)) for each in touches])
+                own = [touch(images[k], size, rng) for k in (3, 7)]
+                probes.append([Prepared(features_of(each, "template", job)) for each in own])
+            rows = []
+            for finger, own in enumerate(probes):
+                first = finger // 5 * 5
+                same = [k for k in range(first, first + 5) if k != finger]
+                far = [k for k in range(len(probes)) if not first <= k < first + 5]
+                others = same + rng.choice(far, 8, replace=False).tolist()
+                for n, probe in enumerate(own):
+                    for other in (finger, *others):
+                        for side in enrolled[other]:
+                            match = fused_match(probe, side)
+                            score = match.similarity if match.compared else np.nan
+                            rows.append((finger, other, n, score, match.ridge.overlap_mm2))
+            np.save(file, np.array(rows))
+        compared[name] = np.load(file)
+    return compared
+
+
+def impostors_of(rows: NDArray[np.float64]) -> Pairs:
+    """Rated comparisons of touches of two fingers."""
+    finger, other, _, score, overlap = rows.T
+    kept = (finger != other) & (overlap >= RATED_MM2) & np.isfinite(score)
+    ends = finger[kept].astype(int), other[kept].astype(int)
+    return Pairs(*ends, *ends, score[kept], np.zeros(kept.sum(), bool))
+
+
+def of_sensor(rows: NDArray[np.float64], every: Pairs) -> dict[str, Any]:
+    """Rates of a small sensor at thresholds by the touches of `every` sensor on the fingers of the
+    six other sets: of comparisons, and of probes against all touches of a finger."""
+    finger, other, _, score, overlap = rows.T
+    same = finger == other
+    stated = fmr_basis("windows").smallest
+    threshold = np.zeros(len(rows))
+    for number in range(len(SETS)):
+        ends = thresholds(every.taken(~every.of_set(number)), (stated,))[1]
+        threshold[finger // 5 == number] = ends[0]
+    accepted = (score >= threshold) & (overlap >= RATED_MM2)
+    missed = ~accepted.reshape(-1, ENROLLED).any(axis=1)[same[::ENROLLED]].reshape(-1, 2)
+    drawn = np.random.default_rng(0).integers(len(missed), size=(2000, len(missed)))
+    ends_ = np.quantile(missed[drawn].mean(axis=(1, 2)), [0.025, 0.975])
+    by_overlap = {}
+    for low, high in itertools.pairwise((6, 8, 10, 12, 17)):
+        part = same & (overlap >= low) & (overlap < high)
+        by_overlap[f"{low} to {high} mm2"] = {
+            "genuine": int(part.sum()),
+            "matched": shares(accepted[part]),
+        }
+    return {
+        "stated": stated,
+        "fnmr": [round(100 * float(x), 1) for x in (missed.mean(), *ends_)],
+        "probes": int(missed.size),
+        "impostors": int((~same).sum()),
+        "false_matches": int((accepted & ~same).sum()),
+        "by_windows_alone": int(((score >= BY_WINDOWS) & (overlap >= RATED_MM2) & ~same).sum()),
+        "genuine_by_overlap": by_overlap,
+    }
+
+
+def ship_small(windows_alone: dict[str, Any], every: Pairs) -> None:
+    """Write what the matcher ships: the larger rate of windows and of touches."""
+    what = "touches of 13 to 17 mm² of 35 real fingers"
+    touches = table(every, what, "validation/match/windows.py --sensors")
+    areas = {"rated_mm2": RATED_MM2, "excluded_mm2": EXCLUDED_MM2}
+    ship("windows", {**areas, **at_least(windows_alone, touches)})
 
 
 def main() -> None:
@@ -374,8 +490,20 @@ def main() -> None:
     parser.add_argument("--compare", type=int, metavar="N", help="compare until the cache holds N")
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--sensors", action="store_true")
     options = parser.parse_args()
     cv2.setNumThreads(1)
+    if options.sensors:
+        known = json.loads(OUT.read_text(encoding="utf-8"))
+        rows = sensors(Job(options.cache))
+        every = impostors_of(np.concatenate(list(rows.values())))
+        known["sensors"] = {name: of_sensor(each, every) for name, each in rows.items()}
+        if options.write:
+            shipped = json.loads((FOLDER / TABLES["windows"]).read_text(encoding="utf-8"))
+            ship_small(shipped.get("measured", shipped), every)
+        OUT.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+        print(json.dumps(known["sensors"], indent=1))
+        return
     if options.compare is not None:
         compare(Job(options.cache), options.compare)
     rows = np.load(options.cache / "windows.npy")
@@ -383,7 +511,7 @@ def main() -> None:
     print(json.dumps(facts, indent=1))
     print("constants:", constants.overlap.tolist(), constants.both.tolist())
     if options.write:
-        write(facts, rows, constants)
+        write(facts, rows, constants, options.cache)
 
 
 if __name__ == "__main__":

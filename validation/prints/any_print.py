@@ -10,7 +10,7 @@ a doubt, as it is and if 1.25 times of it is stated. *several*: prints that are 
 fingers' (none should be), and of nine sheets of two or three prints (side by side or stacked, with
 a white, a grey or no gap) those that are not (*sheets_passed*). *period*: distance of
 the ridges over 0.46 mm, 2.5 % and 97.5 %, by
-:func:`splitknit_match.prints.from_file._ridge_period_px`, and of how many prints none is found.
+:func:`splitknit_match.prints.from_file.ridge_period_px`, and of how many prints none is found.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ import numpy as np
 from splitknit.io.csv_table import csv_text
 from splitknit_match.prints.from_file import (
     USUAL_PERIOD_MM,
-    _ridge_period_px,
     prepared,
     resolution_doubt,
+    ridge_period_px,
 )
 from splitknit_match.prints.minutiae import at_500_ppi
 from splitknit_match.prints.pressed import pressed_ridges
@@ -58,7 +58,7 @@ def row(folder: Path) -> dict[str, object]:
         for name, factor in zip(noted, (1, 1.25), strict=True):
             noted[name] += resolution_doubt(PrintFile(image, factor * ppi, {})) is not None
         several += pressed_ridges(at_500_ppi(image, ppi)).several
-        periods.append(_ridge_period_px(image))
+        periods.append(ridge_period_px(image))
     periods_px = np.array([period for period in periods if period is not None])
     known = periods_px * 25.4 / ppi / USUAL_PERIOD_MM
     return {

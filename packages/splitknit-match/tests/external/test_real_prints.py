@@ -2,11 +2,12 @@
 
 import itertools
 
+import cv2
 import numpy as np
 import pytest
 
 from refusals import bad_input
-from splitknit_match import enroll, identify
+from splitknit_match import enroll, identify, match
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.minutiae_match import minutiae_match
@@ -112,3 +113,19 @@ def test_sheets_of_several_prints_are_refused_and_no_print(name, data_dir):
         assert pressed_ridges(sheet).several
         with bad_input("prints of several fingers"):
             print_template(sheet)
+
+
+def test_crops_of_real_skin_are_prints_and_match(data_dir, tmp_path):
+    film = data_dir / "author_film" / "grey_crop.png"
+    if not film.is_file():
+        pytest.skip(f"{film} is absent")
+    skin = np.clip(cv2.imread(str(film)) * [1.0, 1.15, 1.6], 0, 255)  # BGR, as warm as skin
+    turned = cv2.warpAffine(skin, cv2.getRotationMatrix2D((360, 300), 25, 0.9), (720, 720))
+    sides = []
+    for picture, top, left in ((skin, 80, 220), (turned, 130, 250)):
+        sides.append(tmp_path / f"{top}.png")
+        cv2.imwrite(str(sides[-1]), picture[top : top + 340, left : left + 340].astype(np.uint8))
+    found = match(*sides)
+    assert found.answer == "match"
+    assert found.alignment.rotation_deg == pytest.approx(25, abs=3)
+    assert sum("skin to its edges" in str(each) for each in found.findings) == 2

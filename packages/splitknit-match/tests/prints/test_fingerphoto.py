@@ -80,6 +80,23 @@ def test_photographs_without_a_whole_finger_in_colour_are_refused():
         finger_of_photo(photo, 1.0)
 
 
+@pytest.mark.parametrize("scale", [1.0, 1.7])
+def test_skin_to_the_edges_of_a_picture_is_flat(scale):
+    photo, _ = drawn(20.0, minutiae=40)
+    crop = cv2.resize(np.ascontiguousarray(photo[180:420, 150:310]), None, fx=scale, fy=scale)
+    source = finger_of_photo(crop)
+    assert "skin to its edges" in str(source.findings[0])
+    assert source.quality > 80
+    assert source.map.surface == "plane"
+    # ridges of the middle lie 0.50 mm apart, those of the curved sides closer
+    assert PX_PER_MM * scale * source.pitch_mm == pytest.approx(0.46 / PERIOD_MM, rel=0.06)
+    px = crop.shape[1] / source.flat.shape[1]
+    assert px * 500 / 25.4 * source.pitch_mm == pytest.approx(1.0, rel=0.02)
+    assert source.map.columns[0, 0] > source.map.columns[0, -1]  # mirrored, as paper shows it
+    with bad_input("no finger was found"):  # smooth skin is none
+        finger_of_photo(cv2.GaussianBlur(crop, (0, 0), 8 * scale))
+
+
 def test_ridges_of_0_73_mm_need_a_known_scale():
     inside = drawn()[1]
     wave = 1 + 0.1 * np.sin(np.indices(inside.shape)[0] * (2 * np.pi / 9.4))

@@ -15,13 +15,13 @@ from spiral_prints import PLACES, spiral_print
 from splitknit_match import enroll, identify, match
 from splitknit_match.matching.inputs import held, read_side
 from splitknit_match.prints.from_file import (
-    _ridge_period_px,
     minutiae_of,
     pressed_print,
     print_at_500_ppi,
     read_one_finger,
     read_print_file,
     resolution_doubt,
+    ridge_period_px,
 )
 from splitknit_match.prints.make import enhance, minutiae_by_phase
 from splitknit_match.records.pictures import PrintFile
@@ -274,14 +274,14 @@ def test_pictures_without_ridges_have_no_period():
     noise = np.random.default_rng(1).integers(0, 256, (400, 400)).astype(np.uint8)
     squares, plain = np.kron(noise[:20, :20], np.ones((20, 20), np.uint8)), np.full_like(noise, 9)
     too_small = spiral_print()[200:240]
-    assert [_ridge_period_px(image) for image in (noise, plain, squares, too_small)] == [None] * 4
+    assert [ridge_period_px(image) for image in (noise, plain, squares, too_small)] == [None] * 4
 
 
 def test_a_touch_of_a_small_sensor_shows_its_resolution():
     touch = spiral_print()[200:252, 100:203]
-    whole = _ridge_period_px(spiral_print())
+    whole = ridge_period_px(spiral_print())
     assert whole is not None
-    assert _ridge_period_px(touch) == pytest.approx(whole, rel=0.1)
+    assert ridge_period_px(touch) == pytest.approx(whole, rel=0.1)
     assert resolution_doubt(PrintFile(touch, 500.0, {})) is None
     doubt = resolution_doubt(PrintFile(touch, 500 * 1.8, {}))
     assert doubt is not None

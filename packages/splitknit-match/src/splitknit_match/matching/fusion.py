@@ -104,10 +104,6 @@ SURE = 9.0
 """Support of an alignment by minutiae from which ridges propose none: 429 of 548 matching pairs of
 real prints have it, none of the 14,000 pairs of other fingers that are most similar by minutiae.
 Chosen on: real prints (validation/gallery/index.py)."""
-_LEAST_SUPPORT = 3.0
-"""Prints whose minutiae support their best alignment less need no look in a mirror or at another
-scale: 939 of 954 matching pairs of real prints have more, 42 of 42 of which one is mirrored too, 92
-of 100 others less."""
 _FEW = 9.0
 """Minutiae that are added to those that could agree, so that few of few count little."""
 
@@ -159,15 +155,6 @@ def fused_match(
     evidence = fraction, correlation, support, overlap_mm2
     ridge = placed(best.ridge, inverse(best.affine) if swapped else best.affine, a, b)
     return _FusedMatch(fused_score(*evidence), minutiae, ridge, evidence)
-
-
-def may_match(a: Prepared, b: Prepared) -> bool:
-    """Whether two prints could match, by their minutiae alone."""
-    small = min(a.template.area_mm2, b.template.area_mm2) < SMALL_MM2
-    if small or a.cylinders is None or b.cylinders is None:
-        return True
-    pairings = pair_minutiae(a.cylinders, b.cylinders)
-    return bool(pairings) and pairings[0].support >= _LEAST_SUPPORT
 
 
 _SCALES = (1.0, 0.94, 1.06, 0.88, 1.12)

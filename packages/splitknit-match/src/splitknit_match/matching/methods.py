@@ -24,7 +24,6 @@ from splitknit_match.matching.fusion import (
     by_ridges,
     fused_match,
     fused_photo,
-    may_match,
 )
 from splitknit_match.matching.inputs import Side, undoubted, with_print
 from splitknit_match.matching.minutiae_match import minutiae_match
@@ -61,20 +60,11 @@ TABLES = {
     "minutiae_of_prints": "match_fmr_minutiae_prints.json",
     "minutiae_of_records": "match_fmr_minutiae_records.json",
 }
-"""Impostor scores, made by validation/match/impostors.py, telephone.py and surfaces.py of simulated
-fingers, by windows.py of real prints and by records.py of real records."""
-_AT_LEAST = {
-    "contactless alone": "fusion",
-    "contactless and prints": "fusion",
-    "minutiae_of_prints": "minutiae_of_records",
-}
-"""Whose rates are stated where they are larger: real prints have impostors that simulated ones
-lack."""
+"""False match rates, made by validation/match/unseen.py of real prints, windows.py of parts of
+them, records.py of real records, and impostors.py, telephone.py and surfaces.py of simulated
+fingers; where real impostors of such kinds state larger rates, these."""
 OwnMatcher = Callable[[NDArray[np.uint8], NDArray[np.uint8]], float]
 """From two prints (H, W) at 500 ppi, ridges dark, to a similarity; NaN: not compared."""
-REAL_PRINTS = "match_fmr_real_prints.json"
-"""The fusion's impostor scores of real prints, which state the rates that are not too small for
-them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -444,10 +434,8 @@ def reason(doubt: Finding) -> str:
 
 def _prints_match(a: Template, b: Template, fmr: float | None, own: FmrTable | None) -> bool:
     """Whether two prints match by ridges and minutiae."""
-    sides = _ready(a), _ready(b)
-    if not may_match(*sides):
-        return False
-    return compare_templates("fusion", *sides).rated(fmr, own).answer == "match"
+    pair = compare_templates("fusion", _ready(a), _ready(b), quick=True)
+    return pair.rated(fmr, own).answer == "match"
 
 
 def scale_doubt(
@@ -578,53 +566,16 @@ def similarity_at(fmr: float, method: str = "ridge") -> float:
     return _fmr_table(method).threshold(fmr)
 
 
-def _document(file: str) -> dict[str, Any]:
-    return dict(json.loads(Path(__file__).with_name(file).read_text(encoding="utf-8")))
-
-
 @cache
 def _fmr_table(method: str) -> FmrTable:
-    """Impostor scores of a method of :data:`TABLES`, or where they state the larger rate those of
-    :data:`_AT_LEAST`."""
-    table = _measured(method)
-    if method not in _AT_LEAST:
-        return table
-    other = _fmr_table(_AT_LEAST[method])
-    similarity = np.union1d(table.similarity, other.similarity)
-    fmr = np.array([max(table(each), other(each)) for each in similarity])
-    return replace(
-        other,
-        similarity=similarity,
-        fmr=fmr,
-        impostors=table.impostors + other.impostors,
-        population=f"of them {table.impostors:,} {table.population}; {other.population}",
-        method=method,
-    )
-
-
-def _measured(method: str) -> FmrTable:
-    """Impostor scores of a method of :data:`TABLES`; of the fusion real ones, and simulated ones
-    where those end."""
-    document = _document(TABLES[method])
-    similarity, fmr = np.array(document["similarity"]), np.array(document["fmr"])
-    impostors, population = document["impostors"], document["what"]
-    if method == "fusion":
-        real = _document(REAL_PRINTS)
-        beyond = fmr < min(real["fmr"])  # reached by no real impostor either
-        similarity = np.append(
-            real["similarity"], np.maximum(similarity[beyond], max(real["similarity"]))
-        )
-        fmr = np.append(real["fmr"], fmr[beyond])
-        population = (
-            f"of them {real['impostors']:,} {real['what']}, which state the larger rates; the"
-            f" others {population}"
-        )
-        impostors += real["impostors"]
+    """False match rates of a method of :data:`TABLES`."""
+    file = Path(__file__).with_name(TABLES[method])
+    document = json.loads(file.read_text(encoding="utf-8"))
     return FmrTable(
-        similarity,
-        fmr,
-        impostors,
-        population,
+        np.array(document["similarity"]),
+        np.array(document["fmr"]),
+        document["impostors"],
+        document["what"],
         document.get("rated_mm2", 0.0),
         document.get("excluded_mm2", 0.0),
         method,

@@ -35,12 +35,12 @@ from splitknit.io.photos import SUFFIXES, Photo, decode_photo, read_photo
 from splitknit.model import BoolArray, FloatArray, GreyArray, PixelArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit_match.prints.enhance import node_amplitudes
-from splitknit_match.prints.from_file import USUAL_PERIOD_MM
+from splitknit_match.prints.from_file import USUAL_PERIOD_MM, ridge_period_px
 from splitknit_match.prints.minutiae_record import PPI
 from splitknit_match.prints.photo_finger import PhotoFinger
-from splitknit_match.prints.photo_mask import finger_in_photo
+from splitknit_match.prints.photo_mask import finger_in_photo, fraction_of_skin
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
-from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
+from splitknit_match.prints.print_map import NOWHERE, PrintMap, plane_map, resample
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 from splitknit_match.records.pictures import is_coloured
 
@@ -160,6 +160,8 @@ def finger_of_photo(
         min(pixels.shape[:2]) >= _MIN_WIDTH_PX,
         "the photograph is too small to show the ridges of a finger.",
     )
+    if mask is None and box is None and (skin := _flat_skin(pixels, px_per_mm)) is not None:
+        return skin
     mask, direction_deg, width, note = _segmented(pixels, mask, box)
     require(
         width >= _MIN_WIDTH_PX,
@@ -211,8 +213,12 @@ def finger_of_photo(
         odd = FINGER_WIDTH.notes(width_mm, "check the scale")
     findings = [Finding(PHOTOGRAPH, f"{note} {known}"), *odd]
     if not upright.clear:
-        unclear = "which way its tip points is not clear; turn the photograph upright."
-        findings.append(Finding("unsure-tip", unclear))
+        findings.append(
+            Finding(
+                "unsure-tip",
+                "which way its tip points is not clear; turn the photograph upright.",
+            )
+        )
     # from 50 on nothing has to be changed
     cure = f": {change}" if quality < 50 else ""
     findings.append(Finding("fingerphoto-quality", f"quality {quality:.0f} of 100{cure}."))
@@ -245,6 +251,44 @@ def finger_of_photo(
     )
 
 
+_ALL_SKIN = 0.85
+"""Fraction of a picture of skin to its edges that has its colour: crops of a real finger have 0.9.
+Chosen on: real photographs (one finger)."""
+_ALL_RIDGES = 70.0
+"""Least quality of such a picture: crops of fingers have 74 to 100 %, pictures of other things that
+were given its colour 64 at most. Chosen on: crops of one real and four path-traced fingers."""
+
+
+def _flat_skin(pixels: PixelArray, px_per_mm: float | None) -> FingerPhoto | None:
+    """The print of a photograph (H, W, 3) that is ridged skin to its edges; None of all others.
+
+    `px_per_mm` as of :func:`read_fingerphoto`: by default ridges lie as far apart as is usual.
+    """
+    if fraction_of_skin(pixels) < _ALL_SKIN:
+        return None
+    reduction = min(1.0, _KEPT_WIDTH_PX / max(pixels.shape))
+    light = reduce_image(pixels[..., 1].astype(np.float32), reduction)
+    everywhere = np.ones(light.shape, np.bool_)
+    period_px = ridge_period_px(_even(light, everywhere)[0])
+    if period_px is None:
+        return None
+    pitch_mm = 1.0 / (px_per_mm * reduction) if px_per_mm else USUAL_PERIOD_MM / period_px
+    flat = plane_map(pitch_mm, np.eye(3), light.shape)
+    image, whole = _even(*resample(light, everywhere, pitch_mm, flat))
+    period_mm = period_px * pitch_mm
+    ridges = pressed_ridges(image, (period_mm / 25.4 * PPI, PEOPLE))
+    quality = 100.0 * float((ridges.confidence[whole] > 0.4).mean())
+    if ridges.lacks or quality < _ALL_RIDGES:
+        return None
+    known = "given" if px_per_mm else f"assumed, to about {100 * PEOPLE:.0f} %"
+    words = (
+        f"taken for a photograph of skin to its edges; its scale is {known}: ridges"
+        f" {period_mm:.2f} mm apart."
+    )
+    findings = (Finding(PHOTOGRAPH, words),)
+    return FingerPhoto(image, ridges, flat, pitch_mm, findings, round(quality, 1))
+
+
 def _segmented(
     pixels: NDArray[Any], mask: BoolArray | None, box: tuple[int, int, int, int] | None
 ) -> tuple[BoolArray, float | None, float, str]:
@@ -261,7 +305,7 @@ def _segmented(
     return mask, None, find_upright(mask).width_px, note
 
 
-def _even(values: FloatArray, weight: FloatArray) -> tuple[GreyArray, BoolArray]:
+def _even(values: FloatArray, weight: NDArray[Any]) -> tuple[GreyArray, BoolArray]:
     """(h, w) a print of light without its shading, and where; contrast is raised alike everywhere,
     so that blocks of JPEG that lost their ridges stay flat.
     """

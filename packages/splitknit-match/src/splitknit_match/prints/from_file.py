@@ -129,7 +129,7 @@ def _resolved(item: PrintFile, name: str, resolution_ppi: float | None) -> Print
 
 
 def _suggestion(image: GreyArray) -> str:
-    period = _ridge_period_px(image)
+    period = ridge_period_px(image)
     if period is None:
         return (
             "it shows no ridges to measure it by: give it in pixels per inch, such as"
@@ -260,7 +260,7 @@ def resolution_doubt(item: PrintFile) -> Finding | None:
             # a finger that is swept over a sensor is compressed one way
             ways = [periods[ridges & way] for way in (across, ~across)]
             closest = max(float(np.median(way)) for way in ways if way.size >= 5) / scale
-    period = period or _ridge_period_px(item.image)
+    period = period or ridge_period_px(item.image)
     if period is None:
         return None
     period_mm = period * 25.4 / ppi
@@ -370,7 +370,7 @@ _CLEAR_SCORE = 0.2
 more. Chosen on: real prints (280 prints of seven sensors, validation/prints/any_print.py)."""
 
 
-def _ridge_period_px(image: GreyArray) -> float | None:
+def ridge_period_px(image: GreyArray) -> float | None:
     """Distance of the ridges of a print (H, W) of unknown resolution, in pixels; None where none
     stand out.
 

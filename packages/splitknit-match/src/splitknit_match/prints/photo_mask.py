@@ -340,6 +340,11 @@ def _skin_likeness(lab: FloatArray) -> FloatArray:
     return np.asarray(likeness * np.clip((60.0 - chroma) / 20.0, 0, 1), np.float32)
 
 
+def fraction_of_skin(pixels: PixelArray) -> float:
+    """Fraction of a photograph (H, W, 3) of 8 or 16 bits that has the colour of skin."""
+    return float((_skin_likeness(_lab(pixels)) > 0.5).mean())
+
+
 _ACROSS = 41
 """Places across an outline that are tried. Chosen on: simulated fingers (100 drawn photographs over
 natural pictures, 16 pictures without a finger)."""
