@@ -66,7 +66,7 @@ PAGE_ROWS = {
     "near_truth": "near lights without specular reflection",
     "grey_in": "blur inverted, grey",
     "grey_truth": "blur inverted, grey, without specular reflection",
-    "colour": "blur inverted, colours (`metric` without networks)",
+    "shading": "blur of blue light inverted (`metric` without networks)",
     "metric": "`metric`",
 }
 """Rows of the page's table."""

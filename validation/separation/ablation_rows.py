@@ -104,11 +104,11 @@ def _rows() -> dict[str, Row]:
             rows[f"snk_{'clahe' if clahe else 'plain'}_{light}"] = Row(
                 THESIS, text, "snk", change, fraction
             )
-    by_colour = {"metric.relief": "colour"}
+    by_shading = {"metric.relief": "shading"}
     for glare, words in GLARES.items():
         rows[f"near_{glare}"] = Row(NEAR, words, change={"skin.invert_blur": False}, glare=glare)
-        rows[f"grey_{glare}"] = Row(GREY, words, change=by_colour, glare=glare, grey=True)
-    rows["colour"] = Row(COLOUR, "glare and blur by colour", change=by_colour)
+        rows[f"grey_{glare}"] = Row(GREY, words, change=by_shading, glare=glare, grey=True)
+    rows["shading"] = Row(COLOUR, "blur of blue light inverted", change=by_shading)
     rows["metric"] = Row(COLOUR, "glare and blur by networks, as shipped")
     return rows
 
@@ -159,8 +159,8 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("near lights: glare truly out", "near_truth", "near_in"),
     ("blur inverted (grey), glare in", "grey_in", "near_in"),
     ("blur inverted (grey): glare truly out", "grey_truth", "grey_in"),
-    ("`metric` by colour against glare and blur left in", "colour", "near_in"),
-    ("`metric` by networks against `metric` by colour", "metric", "colour"),
+    ("`metric` by shading against glare and blur left in", "shading", "near_in"),
+    ("`metric` by networks against `metric` by shading", "metric", "shading"),
     ("sRGB code instead of linear light", "clahe_srgb_cells_3", "clahe_linear_cells_3"),
     ("the same without the network", "clahe_srgb_cells_3_all", "clahe_linear_cells_3_all"),
     (

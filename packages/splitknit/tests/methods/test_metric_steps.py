@@ -234,7 +234,7 @@ class TestFilms:
 
 class TestNotes:
     def notes(self, images=None, **facts):
-        facts = {"relief_by": "colour", **facts}
+        facts = {"relief_by": "shading", **facts}
         surface = replace(skin_surface(), facts=facts, relief_mm=0.1 * field(2))
         return metric._findings_on(images or skin_images(), surface)
 
@@ -288,7 +288,7 @@ class TestNotes:
         assert codes(self.notes(images, specular={"side_lights": 5})) == ["specular-unused"]
 
     def test_an_odd_relief_is_noted(self):
-        surface = replace(skin_surface(relief_by="colour"), relief_mm=3.0 * field(2))
+        surface = replace(skin_surface(relief_by="shading"), relief_mm=3.0 * field(2))
         (note,) = metric._findings_on(skin_images(), surface)
         assert note.code == "odd-relief"
         heights = np.subtract(*np.percentile(3000.0 * field(2), (95, 5)))
@@ -297,7 +297,7 @@ class TestNotes:
     def test_an_empty_mask_has_no_relief(self):
         grid = replace(square_grid(), mask=np.zeros((SIDE, SIDE), bool))
         images = replace(skin_images(), grid=grid)
-        metric._findings_on(images, skin_surface(relief_by="colour"))
+        metric._findings_on(images, skin_surface(relief_by="shading"))
 
 
 class TestOnPixels:
@@ -308,7 +308,9 @@ class TestOnPixels:
         def method(name):
             def run(*arguments):
                 names.append((name, arguments))
-                return skin_surface(relief_by={"metric_polarised": "polarised"}.get(name, "colour"))
+                return skin_surface(
+                    relief_by={"metric_polarised": "polarised"}.get(name, "shading")
+                )
 
             return run
 

@@ -55,7 +55,7 @@ def test_networks_draw_no_ridges_on_smooth_skin(networks):
 
 @pytest.mark.slow
 def test_settings_turn_the_networks_off():
-    settings = MetricSettings(relief="colour", rounds=1, coarse_steps=2)
+    settings = MetricSettings(relief="shading", rounds=1, coarse_steps=2)
     networks = shipped_networks(settings)
     assert networks is None
-    assert surface_of(make_scene(), networks, settings).facts["relief_by"] == "colour"
+    assert surface_of(make_scene(), networks, settings).facts["relief_by"] == "shading"

@@ -49,7 +49,7 @@ from splitknit.skin.learned import (
 )
 from splitknit.skin.light import slant_of
 from splitknit.skin.polarised import polarised_heights, specular_images
-from splitknit.skin.relief import KNIT_MM, ReliefEstimate, detail_of, measure, relief_by_colour
+from splitknit.skin.relief import KNIT_MM, ReliefEstimate, detail_of, relief_by_shading
 from splitknit.skin.shape import (
     CoarseImages,
     Shape,
@@ -182,8 +182,8 @@ def metric_skin(
     `bands`: the white band first (red, green, blue, or one channel called ``green``), then
     near-infrared if there is one; `grid`: fine grid of the images; `skin`: assumed optics; `p`:
     grids and iterations; `networks`: that estimate the relief and refine the shape
-    (:mod:`splitknit.skin.learned`); without them, relief and specular reflection are separated by
-    their colours.
+    (:mod:`splitknit.skin.learned`); without them, the relief follows from the shading of the white
+    band's last channel, blue.
     """
     images = coarse_images(bands, grid, p.plane_mm)
     shape = coarse_shape(images, skin.optics(images.channels), p.coarse_steps)
@@ -194,8 +194,7 @@ def metric_skin(
     if networks is None:
         smooth = on_fine_grid(shape.height_mm, images)
         light = white_light_on(shape.height_mm, images)
-        measured = measure(images.white, grid, smooth, light, optics, shape.brightness)
-        estimate = relief_by_colour(measured, grid, smooth, rounds)
+        estimate = relief_by_shading(images.white, grid, smooth, light, optics[white[-1]])
     else:
         smooth, estimate = relief_and_shape(images, shape, optics, networks, rounds)
     detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
@@ -240,7 +239,7 @@ def metric_polarised(
     rounds = p.rounds or (RELIEF_ROUNDS if side is None else SIDE_ROUNDS)
     first = metric_skin((white, *images.bands[1:]), grid, skin, replace(p, rounds=rounds), networks)
     start = first
-    if networks is None:  # a relief by colour alone would lead astray
+    if networks is None:  # a relief by shading alone would lead astray
         start = replace(
             first,
             relief_mm=0 * first.relief_mm,

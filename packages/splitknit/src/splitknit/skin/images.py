@@ -37,9 +37,9 @@ class MetricSettings(Checked):
     films with lights to the side, else two."""
     coarse_steps: Annotated[int, Limits(1)] = 3
     """Gauss-Newton steps of the shape on the coarse grid."""
-    relief: Literal["network", "colour"] = "network"
-    """``network``, or ``colour``: relief and glare separated by their colours alone. Grey images,
-    and rigs with too few lights for the network, are always reconstructed by colour."""
+    relief: Literal["network", "shading"] = "network"
+    """``network``, or ``shading``: ridges from the shading of one channel alone, blue. Grey images,
+    and rigs with too few lights for the network, are always reconstructed by shading."""
     network: str = "relief"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
     shape_network: str = "shape"
@@ -48,12 +48,12 @@ class MetricSettings(Checked):
 
 NO_NETWORK = (
     "the network of the relief needs six white lights all around the finger and at least 12 pixels"
-    " a millimetre; relief and glare are separated by their colours alone."
+    " a millimetre; ridges follow from the shading of one channel."
 )
 GREY = "the white images are grey: glare is indistinguishable from skin by its colour."
 SEPARATED_BY = {
     "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
-    "colour": "glare by colour, scattering by its transfer function (modelled)",
+    "shading": "scattering by its transfer function (modelled), glare not separated",
     "polarised": "specular reflection by crossed films, ridges from its image (measured)",
     "side": "specular reflection by its colour, ridges from its image and a network (modelled)",
 }

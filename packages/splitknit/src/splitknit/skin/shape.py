@@ -5,13 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.pixels import bin_mean
 from splitknit.integration.poisson import poisson
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid, Slopes, coarsen, refine
@@ -25,7 +26,6 @@ from splitknit.skin.light import (
     predict,
     reached_by_all,
 )
-from splitknit.skin.relief import unmixing_weights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,6 +229,28 @@ def residual_slopes(measured: FloatArray, predicted: FloatArray, grid: Grid) -> 
     slopes = -(measured[..., :2] + p * measured[..., 2:]) / np.maximum(albedo * z, 1e-4)[..., None]
     slopes = np.clip(slopes, -0.6, 0.6).astype(np.float32) * grid.mask[..., None]
     return slopes[..., 0], slopes[..., 1]
+
+
+def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, noise: Any) -> Array:
+    """Weights (C, n) by which the channels' slopes are summed to estimate the true slope at n
+    frequencies.
+
+    signal M^T (signal M M^T + sum glare_power g g^T + noise)^-1 (N. Wiener 1949, "Extrapolation,
+    Interpolation, and Smoothing of Stationary Time Series", for several channels), of the
+    `transfer` function M (C, n) of each channel, the weights `glare` (C, G) of G independent glares
+    in each channel, the expected powers `signal` (n,) of the true slope and `glare_power` (n,) of
+    each, and the `noise` (C,).
+    """
+    m = transfer.T  # (n, C)
+    g = np.asarray(glare, dtype=np.float64).reshape(m.shape[1], -1)
+    power = np.broadcast_to(glare_power[:, None], (m.shape[0], g.shape[1]))
+    covariance = (
+        signal[:, None, None] * m[:, :, None] * m[:, None, :]
+        + np.einsum("ng,cg,dg->ncd", power, g, g)
+        + np.diag(noise)
+    )
+    weights = np.linalg.solve(covariance, (signal[:, None] * m)[..., None])[..., 0]
+    return weights.T
 
 
 def _wiener(
