@@ -226,8 +226,8 @@ def contrast_csv(results: Tree) -> str:
 
 
 def best_factor_csv(results: Tree, contrast: Tree) -> str:
-    """Ridge error that is left after the factor that suits the finger best, in um, and what near
-    infrared's specular reflection does to the surface, in mm: differences finger by finger."""
+    """Ridge error that is left after the factor that suits the finger best, in um: differences
+    finger by finger."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["what", "fingers", "mean", "unit"])
@@ -237,13 +237,6 @@ def best_factor_csv(results: Tree, contrast: Tree) -> str:
         ]
         values = [best_factor_um(row[name]) - best_factor_um(row[against]) for row in rows]
         table.writerow([words, len(rows), _cell(statistics(values), 2, "+"), "um"])
-    rows = [finger["rows"] for finger in results["fingers"]]
-    values = [
-        row["near_truth_both"]["surface_rms_mm"] - row["near_truth"]["surface_rms_mm"]
-        for row in rows
-    ]
-    words = "surface without near infrared's specular reflection, near lights"
-    table.writerow([words, len(rows), _cell(statistics(values), 3, "+"), "mm"])
     return text.getvalue()
 
 
