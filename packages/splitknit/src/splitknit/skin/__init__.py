@@ -2,8 +2,7 @@
 synthesis.
 
 A current surface predicts what photometric stereo would find on it behind the skin's blur; the
-difference from what it did find, unmixed from glare by colour, corrects the surface. First the
-shape on a coarse grid, from all bands; then the ridges on a fine grid, from the colours of the
-white band; and again, because ridges bias the shape (the mean normal of a ridged slope is flatter
-than the slope).
+difference from what it did find corrects the surface. First the shape on a coarse grid, from all
+bands; then the ridges on a fine grid, from the white band; and again, because ridges bias the shape
+(the mean normal of a ridged slope is flatter than the slope).
 """
