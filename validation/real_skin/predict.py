@@ -23,7 +23,7 @@ from splitknit.reconstruction import Reconstruction
 from splitknit.skin.diffusion import diffusion
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import skin_images
-from splitknit.skin.light import Lighting, MicrofacetGlare, fresnel_transmission, predict, slant_of
+from splitknit.skin.light import Lighting, fresnel_transmission, microfacet_glare, predict, slant_of
 
 MIN_IMAGES = 5
 """Of the band: plain photometric stereo needs three, and one more leaves something to be
@@ -186,7 +186,7 @@ def by_model(
     ]
     diffuse = predict(light, grid, fit.normals, transfers)
     glare = fit.optics["glare"][band.channels[-1]]
-    mirrored = MicrofacetGlare(unit, vectors)(glare["roughness"]) * np.float32(glare["strength"])
+    mirrored = microfacet_glare(unit, vectors) * np.float32(glare)
 
     def lacking(stack: FloatArray) -> FloatArray:
         """What no albedo explains."""

@@ -12,7 +12,7 @@ from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.methods.metric import NO_SPECULAR, without_white
 from splitknit.model import Camera, Led, Rig
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.light import MicrofacetGlare
+from splitknit.skin.light import microfacet_glare
 from splitknit.skin.polarised import SpecularImages, polarised_heights, specular_images
 
 PITCH_MM = 0.026
@@ -64,7 +64,7 @@ def _photographed(height_mm, grid, rig, roughness, rho):
     lights = (towards / far * (140.0 / far) ** 2).astype(np.float32)
     matt = np.maximum(np.einsum("lchw,hwc->lhw", lights, normals), 0)
     return np.asarray(
-        5.0 * MicrofacetGlare(normals, lights)(roughness) + rho * matt, dtype=np.float32
+        5.0 * microfacet_glare(normals, lights, roughness) + rho * matt, dtype=np.float32
     )
 
 

@@ -42,7 +42,9 @@ ROUGHNESS = 0.3
 surface by -0.5 % on average. Chosen on: simulated fingers (eight, and four path-traced ones)."""
 
 
-def microfacet_glare(normals: FloatArray, lights: FloatArray) -> FloatArray:
+def microfacet_glare(
+    normals: FloatArray, lights: FloatArray, roughness: float = ROUGHNESS
+) -> FloatArray:
     """(L, ...) glare under each light, for a viewer along z and an irradiance of one at normal
     incidence.
 
@@ -58,7 +60,7 @@ def microfacet_glare(normals: FloatArray, lights: FloatArray) -> FloatArray:
     half = np.clip((cosine + planes[2]) / length, 0, 1)
     mirrored = np.where(cosine > 0, fresnel_reflectance(length / 2) * strength, 0.0)
     view = np.clip(planes[2], 0.05, 1)
-    a2 = np.float32(ROUGHNESS**2)
+    a2 = np.float32(roughness**2)
     falloff = half * half * (a2 - 1) + 1
     spread = a2 / (np.pi * falloff * falloff)
     masking = _one_way(view, a2) * _one_way(np.maximum(cosine, 1e-4), a2) / (4 * view)
