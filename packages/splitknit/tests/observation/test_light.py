@@ -73,6 +73,16 @@ def test_ambient_light_is_subtracted_at_equal_exposure():
     assert_allclose(stack, np.broadcast_to(light[..., 0], (3, 4, 5)), atol=5e-5)
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+def test_clipped_values_count_as_clipped_whatever_the_ambient_light(channels):
+    pixels = random_pixels(channels=channels)
+    pixels[1, 2, 3] = 255
+    ambient = np.full_like(pixels[0], 60)
+    light = light_of(pixels, ambient=Ambient(ambient, 1.0, 0.0))
+    clipped = light.grey >= light.clips_at[:, None, None]
+    assert np.argwhere(clipped).tolist() == [[1, 2, 3]]
+
+
 def test_channels_of_a_window_are_linear_red_green_and_blue():
     pixels = random_pixels()
     light = light_of(pixels).at(1, (slice(2, 6), slice(1, 8)))

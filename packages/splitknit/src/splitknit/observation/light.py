@@ -253,7 +253,8 @@ class Light:
 
     @property
     def clips_at(self) -> Array:
-        """(L,) light at which each image clips, with the ambient light left in."""
+        """(L,) light at which each image clips; ambient light is not subtracted from clipped
+        values."""
         first = self._first_images()
         levels = self._clip_levels()
         if self.gains is not None and not self.stored.polarisation:
@@ -392,8 +393,8 @@ class Light:
             float(band.black_level[k]),
             self.binning,
         )
-        if shared.ambient is not None:
-            light -= shared.ambient
+        if shared.ambient is not None:  # clipped values stay as they are, and still count as clipped
+            light -= np.where(light < self._clip_levels()[k], shared.ambient, np.float32(0.0))
         if shared.lens is not None:
             light /= shared.lens
         if shared.flats is not None:
