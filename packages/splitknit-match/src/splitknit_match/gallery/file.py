@@ -512,8 +512,8 @@ class GalleryFile:
     ) -> int:
         """Remove captures so that nothing of them remains in the file; return how many there were.
 
-        `last`: as of :meth:`add`. Raises BadInput if there are none, but for 0 that stands for
-        earlier ones whose bytes another program kept in the file until now.
+        `last`: as of :meth:`add`. Raises BadInput if there are none; returns 0 where only
+        the bytes of captures removed earlier, which could not be erased then, were erased now.
         """
         with self._changing() as (database, erased):
             removed = _delete(database, check_person(person), finger, session)
@@ -768,8 +768,8 @@ def _tables_of(database: Any) -> list[tuple[str, str | None]]:
     """What ``sqlite_master`` lists, up to one row more than a gallery has.
 
     SQLite parses all of it with the first statement that needs a table, and even evaluates
-    expressions of a table ``sqlite_stat1``. Interrupted, it takes what it has as all where the
-    schema may be written, so that here nothing is parsed.
+    expressions of a table ``sqlite_stat1``. With a schema that may be written, SQLite takes an
+    interrupted load as complete: it is interrupted at once, so that nothing of it is parsed.
     """
     limited = isinstance(database, sqlite3.Connection)  # SQLCipher's module has no limits
     if limited:

@@ -248,7 +248,7 @@ def _members(rig: Rig, band: str) -> NDArray[np.intp]:
 
 
 def _beyond(values: Any, limit: float, rig: Rig) -> str:
-    """Names of the LEDs beyond a limit, or of the last one within it."""
+    """Names of the LEDs beyond a limit; if none is, of the LED with the largest value."""
     beyond = np.flatnonzero(np.asarray(values) > limit)
     named = beyond if len(beyond) else [int(np.argmax(values))]
     return listed([led_name(rig.leds, int(k)) for k in named])

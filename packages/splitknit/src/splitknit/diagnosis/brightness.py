@@ -46,7 +46,7 @@ class Limits:
     permuted. Metal may leave 0.3 under the right ones."""
     sure: float = 0.01
     """Misfit under unequal lights up to which differences of any size are taken out. Above it they
-    are taken out unasked only within the next two limits."""
+    are taken out unasked only within `several_fold` and `turned_deg`."""
     several_fold: float = 3.0  # brightest over dimmest lamp
     turned_deg: float = 10.0  # turn of the normals of a matt surface, median
     odd: float = 0.5
@@ -58,7 +58,9 @@ class Limits:
     simpler: float = 1.5
     """Misfit without gloss over that with it up to which there is none."""
     matt: float = 0.01  # misfit of a matt surface: noise leaves 0.001 to 0.005 of rendered ones
-    curve_leaves: float = 0.03  # misfit of a matt surface under a wrong encoding, of a relief
+    curve_leaves: float = 0.03
+    """Misfit of a matt surface, at most, where a wrong encoding of a shallow relief looks like
+    lamps that differ a little."""
     curved: float = 4.0
     """Misfit under a wrong encoding over that under the right one, where it is sure."""
     ambient: float = 0.06

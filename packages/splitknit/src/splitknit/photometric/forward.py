@@ -10,11 +10,11 @@ brightness is ::
 
 with a lobe of any falling shape, the same for all pixels (after N. Alldrin, T. Zickler and D.
 Kriegman, "Photometric stereo with non-parametric and spatially-varying reflectance", CVPR 2008).
-Matt is a level lobe. Without the cosine, a matt thing under a ring of lights would fit a lobe at
-half its height. Hypotheses differ in what is free: normals and albedo always, the lobe, the lamps'
-gains. They are fitted in turns to some of the pixels, by robust least squares of the logarithm;
-then the normals of all, which have three unknowns each, as under a matt model. Lights are in the
-pixels' own frames, whose z points to the camera.
+Matt is a level lobe. The cosine is kept beside the lobe: without it, a lobe on a surface half as
+high explains a matt thing under a ring of lights as well. Hypotheses differ in what is free:
+normals and albedo always, the lobe, the lamps' gains. They are fitted in turns to some of the
+pixels, by robust least squares of the logarithm; then the normals of all, which have three unknowns
+each, as under a matt model. Lights are in the pixels' own frames, whose z points to the camera.
 """
 
 from __future__ import annotations

@@ -78,11 +78,12 @@ def coarse_shape(images: CoarseImages, optics: Mapping[str, Diffusion], steps: i
     """Analysis by synthesis: the surface whose images, behind scattering, agree with the
     photographs.
 
-    The regularised inverse W acts on everything that was measured, z <- W (p - F(z) + M z), so that
-    repeating it settles. The ridges need not be known: as much light enters a ridged patch of skin
-    and scatters below it as enters a smooth one, because facets that lean away from the light are
-    larger as they are darker. `optics`: transfer function of each channel; `steps`: comparisons of
-    prediction and images, one at least.
+    With the slopes s added so far, the measured ones p and the predicted ones F(s), a step is s <-
+    W (p - F(s) + M s). W, a regularised inverse, acts on the whole signal and not on each residual,
+    so that repeating it settles. The ridges need not be known: as much light enters a ridged patch
+    of skin and scatters below it as enters a smooth one, because facets that lean away from the
+    light are larger as they are darker. `optics`: transfer function of each channel; `steps`:
+    comparisons of prediction and images, one at least.
     """
     grid = images.grid
     start = _start_shape(images.bands[-1], grid, images.plane_mm)
@@ -267,16 +268,16 @@ def _wiener(
     for g, members in enumerate(residual.bands):
         for name in members:
             glare[names.index(name), g] = reference / max(residual.brightness[name], 1e-6)
-    # apparent slope of specular reflection over the shape's slopes
     weights = unmixing_weights(
         np.stack([optics[name](omega) for name in names]),
         glare,
         1
-        / (1 + (omega / 5.0) ** 2) ** 2,  # slopes of a shape fall off from 5 rad/mm (3.5 to 10 do)
-        np.full(omega.shape, 0.16**2),
-        np.full(len(names), 0.1**2),  # noise of the slopes over the shape's (0.1 to 0.14 do)
+        # slopes of a shape fall off from 5 rad/mm (3.5 to 10 do as well)
+        / (1 + (omega / 5.0) ** 2) ** 2,
+        np.full(omega.shape, 0.16**2),  # apparent slopes of specular reflection over the shape's
+        np.full(len(names), 0.1**2),  # noise over the shape's slopes (0.1 to 0.14 do as well)
     )
-    # slopes beyond 8 rad/mm are left to the fine grid (5.6 to 16 do)
+    # slopes beyond 8 rad/mm are left to the fine grid (5.6 to 16 do as well)
     weights = weights * np.exp(-0.5 * (omega / 8.0) ** 2)
     gains = {name: grid.radial(omega, w) for name, w in zip(names, weights, strict=True)}
     kept = sum(gain * grid.sampled(optics[name]) for name, gain in gains.items())
