@@ -49,7 +49,7 @@ def test_figures_with_commands_of_their_own_and_every_claim_stand_on_the_page(
     reproduce("--out", tmp_path, "--figures", "3.17,4.1")
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert "python validation/separation/checkerboard.py" in page
-    assert "A height of 14 and a radius of 5.25 cm are best" in page and "Figure 5.4" not in page
+    assert "LEDs best stand 14 cm high on a ring of 5.25 cm" in page and "Figure 5.4" not in page
     figures, known = (
         thesis("reproduce").chosen_figures(None),
         thesis("report").read(THESIS / "tables" / "claims.csv"),

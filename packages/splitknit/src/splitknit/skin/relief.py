@@ -60,7 +60,7 @@ def _integrated(
     wx, wy, omega = grid.omega
     square = omega * omega
     square[0, 0] = 1.0
-    return (wx * x + wy * y) * (-1j / square)
+    return np.asarray((wx * x + wy * y) * (-1j / square), dtype=np.complex64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
