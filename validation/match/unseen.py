@@ -1,4 +1,5 @@
-"""What a stated false match rate costs on fingers that did not set its threshold, and whether it holds.
+"""Does a stated false match rate hold on fingers that did not set its threshold, and what does it
+cost there?
 
     python validation/match/unseen.py --compare plain mirrored  # adds to the cache; an hour
     python validation/match/unseen.py  # unseen.json from what was compared; a minute

@@ -398,7 +398,7 @@ def touch(image: Image, size: tuple[int, int], rng: np.random.Generator) -> Imag
 
 
 def sensors(job: Job) -> dict[str, NDArray[np.float64]]:
-    """Comparisons of touches of small sensors: every fourth impression of a finger is a probe, against eight
+    """Comparisons of touches of small sensors: every fourth impression is a probe, against eight
     touches of the others, of its finger and of twelve others, four of them of its sensor."""
     fingers = [
         images[k : k + 8]

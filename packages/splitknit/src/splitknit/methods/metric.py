@@ -159,7 +159,7 @@ class SkinSurface:
     relief_mm: FloatArray
     deviation_mm: FloatArray
     """Standard deviation of the relief: noise, what denoising removed, and model error."""
-    albedo: FloatArray  # diffuse brightness of the first channel, relative
+    albedo: FloatArray  # brightness of one channel of the white band, relative
     facts: Mapping[str, Any]
 
 
@@ -190,12 +190,12 @@ def metric_skin(
     white = bands[0].channels
     colour = {name: shape.brightness[name] / shape.brightness[white[0]] for name in white}
     optics = skin.optics(images.channels, colour)
-    rounds = p.rounds or RELIEF_ROUNDS
     if networks is None:
         smooth = on_fine_grid(shape.height_mm, images)
         light = white_light_on(shape.height_mm, images)
         estimate = relief_by_shading(images.white, grid, smooth, light, optics[white[-1]])
     else:
+        rounds = p.rounds or RELIEF_ROUNDS
         smooth, estimate = relief_and_shape(images, shape, optics, networks, rounds)
     detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
     facts = {

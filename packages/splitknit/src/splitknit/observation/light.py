@@ -393,9 +393,8 @@ class Light:
             float(band.black_level[k]),
             self.binning,
         )
-        if (
-            shared.ambient is not None
-        ):  # clipped values stay as they are, and still count as clipped
+        if shared.ambient is not None:
+            # clipped values stay as they are, and still count as clipped
             light -= np.where(light < self._clip_levels()[k], shared.ambient, np.float32(0.0))
         if shared.lens is not None:
             light /= shared.lens

@@ -71,7 +71,7 @@ class ReliefEstimate:
     relief_mm: FloatArray
     deviation_mm: FloatArray  # (h, w) its standard deviation
     trust: FloatArray  # (h, w) in [0, 1]: fades out towards grazing slopes and the outline
-    albedo: FloatArray  # (h, w) diffuse brightness of the first channel, relative
+    albedo: FloatArray  # (h, w) brightness of one channel of the white band, relative
     level: FloatArray | None = None
     """(h, w) brightness of the second channel, specular reflection included, where a network
     estimated the relief."""
