@@ -74,6 +74,14 @@ def jpeg(quality: int) -> Callable[[Pixels], Pixels]:
     return work
 
 
+def sharpened(pixels: Pixels) -> Pixels:
+    """All images after an unsharp mask of 1.5 px."""
+    for k, image in enumerate(pixels):
+        wide = cv2.GaussianBlur(image, (0, 0), 1.5).reshape(image.shape)
+        pixels[k] = np.clip(2.0 * image - wide, 0, 255).astype(np.uint8)
+    return pixels
+
+
 def damages(capture: Capture, second_finger: Capture) -> dict[str, Capture]:
     """Damaged captures by name."""
     rng = np.random.default_rng(0)
@@ -136,6 +144,7 @@ def damages(capture: Capture, second_finger: Capture) -> dict[str, Capture]:
         ),
         "JPEG, quality 75": changed(capture, both, jpeg(75)),
         "JPEG, quality 95": changed(capture, both, jpeg(95)),
+        "sharpened": changed(capture, both, sharpened),
     }
 
 

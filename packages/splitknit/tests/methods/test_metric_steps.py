@@ -324,15 +324,16 @@ class TestOnPixels:
         first = replace(skin_surface(), facts=facts)
         monkeypatch.setattr(metric, "metric_skin", lambda *_: first)
         images = skin_images()
-        surface = metric._on_pixels(images, METRIC, 0.3)
+        surface = metric._on_pixels(images, METRIC, 0.3, wet_sd=1.2)
         fields = first.relief_mm, first.deviation_mm, first.shape_mm
-        stated = metric.stated_deviation(*fields, images.grid, 0.5)
+        stated = metric.stated_deviation(*fields, images.grid, 1.3)
+        assert surface.facts["optics"]["gain_uncertainty"] == pytest.approx(1.3)
         expected = 1000 * np.hypot(stated, 0.3 * first.relief_mm)
         assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
 
     def test_what_jpeg_took_is_part_of_the_uncertainty(self, chosen):
         first = skin_surface()
-        surface = metric._on_pixels(skin_images(), METRIC, 0.3)
+        surface = metric._on_pixels(skin_images(), METRIC, 0.3, 0.0)
         expected = 1000 * np.hypot(first.deviation_mm, 0.3 * first.relief_mm)
         assert_allclose(surface.uncertainty_um, expected, rtol=1e-6)
 
@@ -351,9 +352,12 @@ class TestSkin:
     def steps_taken(self, monkeypatch):
         losses = []
 
-        def on_pixels(images, settings, jpeg_loss):
-            losses.append(jpeg_loss)
-            return metric.FingerSurface(*(field(1),) * 4, findings=(metric.side_unused(9),))
+        def on_pixels(images, settings, jpeg_loss, wet_sd):
+            losses.append((jpeg_loss, wet_sd))
+            optics = {"relief_by": "network", "gain_uncertainty": wet_sd}
+            return metric.FingerSurface(
+                *(field(1),) * 4, facts={"optics": optics}, findings=(metric.side_unused(9),)
+            )
 
         monkeypatch.setattr(metric, "working_images", lambda *_: skin_images())
         monkeypatch.setattr(metric, "_on_pixels", on_pixels)
@@ -384,7 +388,16 @@ class TestSkin:
     )
     def test_jpeg_takes_part_of_the_relief(self, steps_taken, px_per_mm, facts, loss):
         metric.skin_surface(self.photographs(px_per_mm, **facts), METRIC)
-        assert steps_taken == [loss]
+        assert steps_taken == [(loss, 0.0)]
+
+    @pytest.mark.parametrize(
+        ("unexplained", "wet_sd"),
+        [(0.05, 0.0), (0.0675, 0.15), (0.085, 0.3), (0.12, 0.6), (0.3, 0.6)],
+    )
+    def test_light_that_no_matt_surface_explains_is_said(self, steps_taken, unexplained, wet_sd):
+        surface = metric.skin_surface(self.photographs(light_residual=unexplained), METRIC)
+        assert steps_taken == [(0.0, pytest.approx(wet_sd))]
+        assert codes(surface.findings) == ["wet-finger"] * (wet_sd > 0.25) + ["side-unused"]
 
     def test_unused_side_lights_stand_first(self, steps_taken):
         photographs = self.photographs()

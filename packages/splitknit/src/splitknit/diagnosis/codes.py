@@ -138,6 +138,11 @@ CODES: dict[str, Code] = {
     "jpeg": Code(
         "The photographs were saved as JPEG, which loses ridges.", "Save PNG, TIFF or RAW."
     ),
+    "sharpened-photographs": Code(
+        "The camera, or a program, sharpened the photographs: ridges come out too high.",
+        "Switch sharpening off, or store RAW images.",
+        "0 of 93 sound fingers",
+    ),
     "inverted-mask": Code(
         "The mask holds what lies around the object.", "Paint the object white, all else black."
     ),
@@ -255,6 +260,11 @@ CODES: dict[str, Code] = {
     "side-misfit": Code("Photographs lit from the side do not fit.", "Calibrate their lights."),
     "hardly-measured": Code(
         "The ridges are hardly measured.", "More pixels a millimetre, better focus."
+    ),
+    "wet-finger": Code(
+        "Much of the finger's light is specular reflection: ridges may be too low by half.",
+        "Dry the finger, or use polarising films.",
+        "0 of 22 dry fingers, 1 of 6 of the darkest skin",
     ),
     "little-gloss": Code("The ridges' common factor is not well known.", "Use polarising films."),
     "steep-walls": Code(

@@ -17,9 +17,9 @@ from splitknit.finger.steady import find_steady_finger, without_moved_side
 from splitknit.integration.knit import place
 from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.observation.films import specular_of
-from splitknit.observation.jpeg import saved_as_jpeg
 from splitknit.observation.light import Light
 from splitknit.observation.observe import Observation, observe
+from splitknit.observation.processed import findings_on_processing
 from splitknit.presets import PipelineSettings
 from splitknit.reconstruction import Reconstruction
 from splitknit.steps import step
@@ -127,9 +127,9 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Observati
     observation = observe(capture, settings.lights, settings.camera)
     steady, finger = find_steady_finger(observation, settings)
     steady, of_side = without_moved_side(steady, finger)
-    jpeg, of_files = saved_as_jpeg(observation, finger.window)
+    processed, of_files = findings_on_processing(observation, finger.window, finger.mask)
     findings = (*of_files, *observation.findings, *finger.findings, *of_side)
-    facts = {**finger.facts, **observation.facts, **jpeg}
+    facts = {**finger.facts, **observation.facts, **processed}
     return steady.without_films(), replace(finger, facts=facts, findings=findings)
 
 
