@@ -369,7 +369,7 @@ def _check_whole(data: bytes, name: str) -> None:
     """Refuse PNG and JPEG files of which a part is missing; the decoder compares checksums."""
     if data.startswith(PNG):
         require(
-            PNG_END in data,
+            data.rfind(PNG_END) >= 0,  # from the end, where it is
             f"{name} is truncated: the PNG file ends within the image; copy it again.",
         )
     elif data.startswith(JPEG):
