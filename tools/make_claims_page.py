@@ -164,6 +164,8 @@ def cells(row: Row) -> tuple[str, ...]:
     if not row["rule"]:
         figure, bounds = shown(row), ""
     measured = f"[{figure}]({row['page'].split()[0]}) {bounds}".strip()
+    if row["rule"] and row["unit"]:
+        measured += f"&nbsp;{row['unit']}"
     return (
         row["number"],
         f"{row['claim']} ({row['section']})",
