@@ -114,6 +114,9 @@ class EnrolledCapture:
     source_sha256: str
     new: bool
     """False: the very same source was there already."""
+    chance: float | None = None
+    """That another impression of the finger, about as large, matches it; None of what is no
+    print."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,10 +273,12 @@ class Gallery(GalleryFile):
         )
         _log.info("enrolled %d captures, %d of them new", len(added), sum(added))
         enrolled = [
-            _enrolled(capture, is_new) for capture, is_new in zip(captures, added, strict=True)
+            _enrolled(capture, is_new, row.side)
+            for capture, is_new, row in zip(captures, added, rows, strict=True)
         ]
         findings = [finding for row in rows for finding in row.findings]
-        findings += [_kept_failure(each) for each in enrolled if each.new and not each.acquired]
+        short = [_shortcoming(each) for each in enrolled if each.new]
+        findings += [finding for finding in short if finding is not None]
         return Enrolment(
             content_of(self, created=created),
             tuple(enrolled),
@@ -436,11 +441,25 @@ def _alike(candidate: RankedCandidate, person: str) -> Finding:
     return Finding("matches-another", f"it matches {who}; is that {asked}?", Severity.DOUBT)
 
 
-def _kept_failure(capture: EnrolledCapture) -> Finding:
+_POOR_CHANCE = 0.8
+"""Chance of a match below which another impression is asked for; 80 mm2 of clear ridges have it.
+Source: judgement."""
+
+
+def _shortcoming(capture: EnrolledCapture) -> Finding | None:
+    """That a new capture will match nobody, or perhaps not its own finger."""
     who = in_words(capture.person, capture.finger, capture.session)
-    lacks = "too few ridges or minutiae (failure to acquire)"
-    words = f"{who} holds {lacks}; it is kept as such and will match nobody."
-    return Finding("failure-to-acquire", words)
+    if not capture.acquired:
+        lacks = "too few ridges or minutiae (failure to acquire)"
+        words = f"{who} holds {lacks}; it is kept as such and will match nobody."
+        return Finding("failure-to-acquire", words)
+    if capture.chance is None or capture.chance >= _POOR_CHANCE:
+        return None
+    words = (
+        f"another impression like {who} matches it with a chance of {100 * capture.chance:.0f} %:"
+        " enrol another impression, of more skin or clearer."
+    )
+    return Finding("low-chance", words)
 
 
 def _sessions(rows: Sequence[Made], earlier: Sequence[Entry], session: str | None) -> list[str]:
@@ -455,8 +474,9 @@ def _sessions(rows: Sequence[Made], earlier: Sequence[Entry], session: str | Non
     return chosen
 
 
-def _enrolled(capture: NewCapture, new: bool) -> EnrolledCapture:
+def _enrolled(capture: NewCapture, new: bool, side: Side | None) -> EnrolledCapture:
     entry, size = capture.entry, len(capture.template)
+    template = None if side is None else side.template
     return EnrolledCapture(
         *entry.names,
         entry.kind,
@@ -465,6 +485,7 @@ def _enrolled(capture: NewCapture, new: bool) -> EnrolledCapture:
         size,
         entry.source_sha256,
         new,
+        None if template is None else template.chance,
     )
 
 
