@@ -26,7 +26,7 @@ from splitknit_match.gallery.file import (
     session_order,
 )
 from splitknit_match.gallery.minutia_index import each
-from splitknit_match.matching.fusion import by_ridges
+from splitknit_match.matching.fusion import SURE, by_ridges
 from splitknit_match.matching.inputs import Side, with_print
 from splitknit_match.matching.methods import (
     DECIDED_AT,
@@ -347,8 +347,13 @@ def _search(
     best = _merged(comparisons, merge)[:top]
     if quick and best:  # rates were measured by comparisons as of `match`
         likely = similarity_at(_UNLIKELY_FMR, compared_by)
-        kept = [each for each in best[1:] if each.pair.similarity < likely]
-        again = [each.entry for each in best if each not in kept]
+        again = [
+            each.entry
+            for each in best
+            if each is best[0] or each.pair.similarity >= likely
+            if each.method == "fusion" and (each.pair.minutiae or 0.0) < SURE
+        ]
+        kept = [each for each in best if each.entry not in again]
         best = _ranked([*_by_templates(people, prepared, again, no_progress), *kept])
     searched = Searched(
         compared_by=compared_by,

@@ -117,7 +117,7 @@ def fused_match(
 
     `a`, `b`: with minutiae, as :func:`splitknit_match.matching.inputs.print_template` makes them;
     `quick`: ridges propose no alignment, and what minutiae and ridges hardly confirm is not looked
-    at closely.
+    at closely; nothing else where the support by minutiae is :data:`SURE`.
     """
     a, b = prepared(a).printed, prepared(b).printed
     areas_mm2 = a.template.area_mm2, b.template.area_mm2
@@ -297,15 +297,17 @@ def _best_alignment(
         count = _agreeing_minutiae(a, b, b.first, affine, bend)[0] if drift else 0.0
         return agreement.evidence + _PER_MINUTIA * count, agreement
 
-    if quick and drift:  # where minutiae propose nothing, one lies straight on the other
+    sure = bool(pairings) and pairings[0].support >= SURE
+    quick = quick and drift and not sure
+    if quick:  # where minutiae propose nothing, one lies straight on the other
         pairings = pairings[:1] or [Pairing(0.0, 0j, 0.0)]
     starts = [pairing.affine(a.band, b.band) for pairing in pairings]
-    if quick and drift:
+    if quick:
         evidence, agreement = tried(starts[0])
         if evidence < _MIN_EVIDENCE:
             ridge = scored(a, b, b.first, agreement)
             return _Alignment(b.first, starts[0], None, agreement.mean, ridge)
-    elif not starts or pairings[0].support < SURE:
+    elif not sure:
         by_ridges_alone = likely_alignments(a.views, b.views)
         starts = [by_ridges_alone[0], *starts] if starts else by_ridges_alone
     laid = []
