@@ -166,6 +166,24 @@ def test_of_many_those_are_compared_whose_minutiae_agree_best(gallery, tmp_path,
     assert nearest.candidates[0].similarity == exhaustive.candidates[0].similarity
 
 
+def test_a_searched_gallery_that_is_changed_is_searched_again(gallery, tmp_path, monkeypatch):
+    """Also beside a failure to acquire, of which there are no minutiae."""
+    monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
+
+    def new(k, template):
+        return NewCapture(Entry(f"P{k}", "right_index", "1", "template", ""), template)
+
+    with splitknit_match.Gallery(tmp_path / "g.skg") as opened:
+        opened.add([new(k, gallery[10 * k]) for k in range(5)] + [new(5, b"")], TEMPLATES_HASH)
+        probe = seen(3, 0.4, again=2)
+        first = opened.identify(probe, top=1)
+        opened.add([new(6, gallery[60])], TEMPLATES_HASH)
+        second = opened.identify(probe, top=1)
+        assert first.candidates[0].person == second.candidates[0].person == "P3"
+        assert (second.searched.captures, second.searched.failures) == (6, 1)
+        assert opened.identify(seen(6, again=4), top=1).candidates[0].person == "P6"
+
+
 def test_where_minutiae_are_sure_ridges_propose_nothing(monkeypatch):
     sides = [
         unpack(held(splitknit_match.make_template(press(1, *how), resolution_ppi=PPI).payload))

@@ -103,8 +103,9 @@ class Candidates:
         require(not file.there, f"there is a file '{path}' already; name another one.")
         require(len(self) > 0, "there are no templates to save; add some first.")
         people = self._people
+        minutiae = people.minutiae
         captures = (
-            NewCapture(entry, people.templates[row], people.minutiae.get(row, b""))
+            NewCapture(entry, people.templates[row], bytes(minutiae.get(row, b"")))
             for row, entry in people.entries.items()
         )
         file.add(captures, people.settings_sha256 or TEMPLATES_HASH)

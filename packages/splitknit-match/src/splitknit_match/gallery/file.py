@@ -17,11 +17,13 @@ import sqlite3
 import stat
 import threading
 import unicodedata
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import numpy as np
 
 from splitknit import BadInput
 from splitknit.arguments import AnyPath
@@ -255,6 +257,15 @@ _PREPARED = 64
 """Templates that are kept ready, 2 to 5 MB each. Chosen on: memory."""
 
 
+class Chosen(NamedTuple):
+    """Captures that a search goes through."""
+
+    entries: list[Entry]
+    acquired: list[Entry]
+    fingers: int
+    people: int
+
+
 class People:
     """What a gallery held at one time, in memory; threads may share it."""
 
@@ -264,7 +275,7 @@ class People:
         settings_sha256: str,
         entries: list[Entry],
         templates: dict[int, bytes],
-        minutiae: dict[int, bytes],
+        minutiae: Mapping[int, bytes | memoryview],
     ) -> None:
         """Take over what was read; `minutiae`: of some rows, as
         :func:`splitknit_match.gallery.minutia_index.kept_minutiae` makes them."""
@@ -272,8 +283,9 @@ class People:
         self.settings_sha256 = settings_sha256
         self.entries = {entry.row: entry for entry in entries}
         self.templates = templates
-        self.minutiae = minutiae
+        self._minutiae = minutiae
         self.prepared = lru_cache(_PREPARED)(self._prepare)
+        self.chosen = lru_cache(1)(self._choose)
         self._index: MinutiaIndex | None = None
         self._lock = threading.Lock()
 
@@ -301,6 +313,14 @@ class People:
         require(entries or not words, missing)
         return entries
 
+    def _choose(self, person: str | None, finger: str | None) -> Chosen:
+        """Those of a person, a finger, or all; of the acquired ones also how many."""
+        entries = self.of(person, finger)
+        acquired = [entry for entry in entries if entry.template_bytes > 0]
+        people = {entry.person for entry in acquired}
+        fingers = {(entry.person, entry.finger) for entry in acquired}
+        return Chosen(entries, acquired, len(fingers), len(people))
+
     def index(self, progress: Progress = no_progress) -> MinutiaIndex:
         """Index of the minutiae of all templates."""
         # a list of names needs none of it
@@ -308,9 +328,14 @@ class People:
 
         with self._lock:
             if self._index is None:
-                self._index = MinutiaIndex(self.templates, self.path, self.minutiae, progress)
-                self.minutiae = self._index.minutiae
+                known, self._minutiae = self._minutiae, {}
+                self._index = MinutiaIndex(self.templates, self.path, known, progress)
             return self._index
+
+    @property
+    def minutiae(self) -> Mapping[int, bytes | memoryview]:
+        """Of rows whose minutiae are known."""
+        return self._minutiae if self._index is None else self._index.minutiae
 
 
 WAIT_S = 10.0  # how long one waits for another program's transaction
@@ -394,13 +419,20 @@ class GalleryFile:
                 return kept
             entries = self._entries(database, person)
             earlier = kept or People(self.path, "", [], {}, {})
-            templates, minutiae = dict[int, bytes](), dict[int, bytes]()
+            known = earlier.minutiae
+            (total,) = database.execute("SELECT sum(length(minutiae)) FROM capture").fetchone()
+            # in one piece, whose memory is returned once an index is made of it
+            room, used = np.empty(total or 0, dtype=np.uint8).data, 0
+            templates, minutiae = dict[int, bytes](), dict[int, bytes | memoryview]()
             for entry in entries:
                 row = entry.row
                 if earlier.entries.get(row) == entry:
-                    templates[row], minutiae[row] = earlier.templates[row], earlier.minutiae[row]
+                    templates[row], minutiae[row] = earlier.templates[row], known.get(row, b"")
                 else:
-                    templates[row], minutiae[row] = self._read(database, entry)
+                    templates[row], own = self._read(database, entry)
+                    minutiae[row] = part = room[used : used + len(own)]
+                    part[:] = own
+                    used += len(own)
             people = People(self.path, _settings_of(database), entries, templates, minutiae)
             if person is None:
                 self._kept = state, people
@@ -436,7 +468,7 @@ class GalleryFile:
         sound = hashlib.sha256(template).hexdigest() == entry.template_sha256
         cure = "take it out with 'splitknit gallery remove', and enrol it again"
         require(sound, f"the template of {entry.words} in '{self.path}' is damaged; {cure}.")
-        return bytes(template), bytes(minutiae)
+        return bytes(template), minutiae
 
     # What changes it.
 

@@ -17,6 +17,7 @@ from splitknit.findings import Finding, worst_first
 from splitknit.io.provenance import known_json, settings_hash
 from splitknit.model import Progress, no_progress
 from splitknit_match.gallery.file import (
+    Chosen,
     Entry,
     GalleryFile,
     People,
@@ -178,7 +179,7 @@ def identify_finger(
     person = None if person is None else check_person(person)
     people = gallery if isinstance(gallery, People) else comparable_people(gallery, person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-    entries = people.of(person, finger)
+    chosen = people.chosen(person, finger)
     if fmr is not None:  # refused here, before anything is made, where no such rate was measured
         similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
 
@@ -205,9 +206,10 @@ def identify_finger(
     area_mm2 = 0.0 if isinstance(probe, Minutiae) else probe.area_mm2
 
     of_everybody = person is None and finger is None
-    most = max(top, round(_NEAREST * len(entries))) if of_everybody else len(entries)
+    captures = len(chosen.entries)
+    most = max(top, round(_NEAREST * captures)) if of_everybody else captures
     best, searched, findings = _search(
-        people, probe, entries, most=most, merge=merge, top=top, progress=progress
+        people, probe, chosen, most=most, merge=merge, top=top, progress=progress
     )
     table = "minutiae_of_prints" if of_minutiae else searched.compared_by
     rated = [comparison.pair.rated(fmr) for comparison in best]
@@ -309,7 +311,7 @@ would only find a smaller one. Chosen on: speed."""
 def _search(
     people: People,
     probe: Template | Minutiae,
-    entries: Sequence[Entry],
+    sought: Chosen,
     *,
     most: int,
     merge: str,
@@ -318,7 +320,7 @@ def _search(
 ) -> tuple[list[_Comparison], Searched, list[Finding]]:
     """Compare these, or of many the `most` whose minutiae agree best; the `top` of each person or
     finger, best first."""
-    acquired = [entry for entry in entries if entry.template_bytes > 0]
+    acquired = sought.acquired
     compared_by = "ridge"
     quick = False
     findings: list[Finding] = []
@@ -357,9 +359,9 @@ def _search(
         best = _ranked([*_by_templates(people, prepared, again, no_progress), *kept])
     searched = Searched(
         compared_by=compared_by,
-        fingers=len({(entry.person, entry.finger) for entry in acquired}),
-        people=len({entry.person for entry in acquired}),
-        failures=len(entries) - len(acquired),
+        fingers=sought.fingers,
+        people=sought.people,
+        failures=len(sought.entries) - len(acquired),
         captures=len(acquired),
         compared=len(comparisons),
     )

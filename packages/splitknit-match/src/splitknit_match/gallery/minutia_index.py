@@ -80,7 +80,7 @@ Chosen on: speed."""
 
 
 class MinutiaIndex:
-    """Minutiae of captures in memory, 30 kB each. Threads may share it."""
+    """Minutiae of captures in memory, 17 kB each. Threads may share it."""
 
     rows: NDArray[np.int64]
     """(M,) numbers of the captures' rows."""
@@ -89,7 +89,7 @@ class MinutiaIndex:
         self,
         templates: Mapping[int, bytes],
         gallery: Path,
-        known: Mapping[int, bytes] | None = None,
+        known: Mapping[int, bytes | memoryview] | None = None,
         progress: Progress = no_progress,
     ) -> None:
         """Take templates by their rows, but those of failures to acquire.
@@ -99,28 +99,28 @@ class MinutiaIndex:
         """
         known = known or {}
         rows = sorted(row for row, template in templates.items() if template)
-        self.minutiae = {row: known[row] for row in rows if _is_sound(known.get(row, b""))}
-        missing = [row for row in rows if row not in self.minutiae]
+        side: dict[int, bytes | memoryview]
+        side = {row: known[row] for row in rows if _is_sound(known.get(row, b""))}
+        missing = [row for row in rows if row not in side]
 
         def found(row: int) -> bytes:
             return kept_minutiae(unpacked(gallery, row, templates[row]))
 
         for number, (row, minutiae) in enumerate(zip(missing, each(found, missing), strict=True)):
             progress("finding minutiae", number / len(missing))
-            self.minutiae[row] = minutiae
-        counts = {row: len(self.minutiae[row]) // _ENTRY.itemsize for row in rows}
+            side[row] = minutiae
+        counts = {row: len(side[row]) // _ENTRY.itemsize for row in rows}
         self.others = [row for row, count in counts.items() if not count]
         """Rows that hold too few minutiae to be searched."""
         self.rows = np.array([row for row, count in counts.items() if count], dtype=np.int64)
         self.count = np.array([count for count in counts.values() if count], dtype=np.int64)
         self.first = np.cumsum(self.count) - self.count
-        kept = np.frombuffer(b"".join(self.minutiae[row][1:] for row in rows), _ENTRY)
+        kept = np.frombuffer(b"".join(side[row][1:] for row in rows), _ENTRY)
         # whatever a damaged file holds, these are numbers of the size of a print's
         self.x, self.y, self.turn = (
             np.clip(np.nan_to_num(kept[name]), -_FARTHEST_MM, _FARTHEST_MM)
             for name in ("x", "y", "turn")
         )
-        keys = kept["keys"].T & np.uint16((1 << _BITS) - 1)
         # left, right, lower and upper end of each capture's places
         self.boxes = np.stack(
             [
@@ -133,12 +133,29 @@ class MinutiaIndex:
         self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * _ROTATIONS)
         self.code += _steps(self.turn) + _ROTATIONS
         # of each table the minutiae in the order of their keys, and where those of a key end
-        self.lists = np.stack([np.argsort(table, kind="stable").astype(np.int32) for table in keys])
-        sizes = [np.bincount(table, minlength=1 << _BITS) for table in keys]
-        self.ends = np.pad(np.cumsum(sizes, axis=1), ((0, 0), (1, 0)))
+        self.lists = np.empty((_TABLES, len(kept)), dtype=np.int32)
+        self.ends = np.zeros((_TABLES, (1 << _BITS) + 1), dtype=np.int64)
+        for order, ends, column in zip(self.lists, self.ends, kept["keys"].T, strict=True):
+            keys = column & np.uint16((1 << _BITS) - 1)
+            order[:] = np.argsort(keys, kind="stable")
+            ends[1:] = np.bincount(keys, minlength=1 << _BITS).cumsum()
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    @property
+    def minutiae(self) -> dict[int, bytes]:
+        """Minutiae of each row, as :func:`kept_minutiae` makes them."""
+        kept = np.empty(len(self.turn), _ENTRY)
+        kept["x"], kept["y"], kept["turn"] = self.x, self.y, self.turn
+        keys = np.arange(1 << _BITS, dtype=np.uint16)
+        for table in range(_TABLES):
+            kept["keys"][self.lists[table], table] = keys.repeat(np.diff(self.ends[table]))
+        parts = np.split(kept, self.first[1:])
+        found = {
+            int(row): _VERSION + part.tobytes() for row, part in zip(self.rows, parts, strict=True)
+        }
+        return found | dict.fromkeys(self.others, _VERSION)
 
     def nearest(self, probe: Cylinders, k: int) -> list[int]:
         """Rows of the `k` captures that agree with the probe best, best first; equal ones by
@@ -320,7 +337,7 @@ def minutiae_of(payload: bytes) -> bytes:
         return b""
 
 
-def _is_sound(minutiae: bytes) -> bool:
+def _is_sound(minutiae: bytes | memoryview) -> bool:
     """Whether the bytes are of this version and hold a whole number of minutiae, not too many."""
     return (
         minutiae[:1] == _VERSION

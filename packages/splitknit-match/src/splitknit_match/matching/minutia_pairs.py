@@ -132,10 +132,9 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
 
 def on_ridges(valid: BoolArray, place: FloatArray) -> BoolArray:
     """(...) whether columns and rows (..., 2) lie on a template's ridges."""
-    nearest = np.rint(place)
-    inside = ((nearest >= 0) & (nearest < valid.shape[::-1])).all(axis=-1)
-    columns, rows = np.moveaxis(np.where(inside[..., None], nearest, 0).astype(np.int64), -1, 0)
-    return np.asarray(valid[rows, columns] & inside)
+    columns, rows = np.moveaxis(np.rint(place).astype(np.int64), -1, 0)
+    inside = (rows >= 0) & (columns >= 0) & (rows < valid.shape[0]) & (columns < valid.shape[1])
+    return np.asarray(valid[rows * inside, columns * inside] & inside)
 
 
 _MIN_FIT = 0.2  # pairs that fit the best one less do not go with it
