@@ -258,7 +258,7 @@ _PREPARED = 64
 
 
 class Chosen(NamedTuple):
-    """Captures that a search goes through."""
+    """Captures that a search goes through; of the acquired ones also how many."""
 
     entries: list[Entry]
     acquired: list[Entry]
@@ -285,7 +285,7 @@ class People:
         self.templates = templates
         self._minutiae = minutiae
         self.prepared = lru_cache(_PREPARED)(self._prepare)
-        self.chosen = lru_cache(1)(self._choose)
+        self.of = lru_cache(1)(self._chosen)
         self._index: MinutiaIndex | None = None
         self._lock = threading.Lock()
 
@@ -296,8 +296,8 @@ class People:
 
         return Prepared(unpacked(self.path, row, self.templates[row]))
 
-    def of(self, person: str | None, finger: str | None) -> list[Entry]:
-        """Entries of a person, a finger, or all, in the order of enrolment."""
+    def _chosen(self, person: str | None, finger: str | None) -> Chosen:
+        """Those of a person, a finger, or all, in the order of enrolment."""
         entries = [
             entry
             for entry in self.entries.values()
@@ -311,11 +311,6 @@ class People:
             f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
         )
         require(entries or not words, missing)
-        return entries
-
-    def _choose(self, person: str | None, finger: str | None) -> Chosen:
-        """Those of a person, a finger, or all; of the acquired ones also how many."""
-        entries = self.of(person, finger)
         acquired = [entry for entry in entries if entry.template_bytes > 0]
         people = {entry.person for entry in acquired}
         fingers = {(entry.person, entry.finger) for entry in acquired}
@@ -495,11 +490,7 @@ class GalleryFile:
 
         several = list(captures)
         one_blas_thread()
-
-        def minutiae_in(capture: NewCapture) -> bytes:
-            return capture.minutiae or minutiae_of(capture.template)
-
-        minutiae = list(each(minutiae_in, several))
+        minutiae = list(each(lambda new: new.minutiae or minutiae_of(new.template), several))
         new = []
         with self._changing(settings_sha256) as (database, _):
             first()

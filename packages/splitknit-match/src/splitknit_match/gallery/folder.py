@@ -55,7 +55,7 @@ def export_gallery(gallery: GalleryFile, out: Path, *, person: str | None = None
     with atomic_folder(out) as folder:
         folder.chmod(0o700)
         (folder / "templates").mkdir(mode=0o700)
-        for number, entry in enumerate(people.of(name, None), start=1):
+        for number, entry in enumerate(people.of(name, None).entries, start=1):
             file = f"templates/{number:04d}.skt"
             _write(folder / file, encode_template(people.templates[entry.row], VERSION))
             table.append([file, *(getattr(entry, column) for column in _FIELDS)])

@@ -179,7 +179,7 @@ def identify_finger(
     person = None if person is None else check_person(person)
     people = gallery if isinstance(gallery, People) else comparable_people(gallery, person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-    chosen = people.chosen(person, finger)
+    chosen = people.of(person, finger)
     if fmr is not None:  # refused here, before anything is made, where no such rate was measured
         similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
 

@@ -388,9 +388,10 @@ _cores = threading.Lock()
 
 
 def each(work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
-    """Do it with each, by a thread for each core unless another request has those; results in
-    order."""
-    if not _cores.acquire(blocking=False):
+    """Do it with each; of many by a thread for each core, unless another request has those;
+    results in order."""
+    # threads for sixteen comparisons cost a fifth of their processor time
+    if len(items) <= 16 or not _cores.acquire(blocking=False):
         yield from map(work, items)
         return
     try:
