@@ -103,9 +103,8 @@ class Candidates:
         require(not file.there, f"there is a file '{path}' already; name another one.")
         require(len(self) > 0, "there are no templates to save; add some first.")
         people = self._people
-        minutiae = people.minutiae
         captures = (
-            NewCapture(entry, people.templates[row], bytes(minutiae.get(row, b"")))
+            NewCapture(entry, people.templates[row], bytes(people.minutiae.get(row, b"")))
             for row, entry in people.entries.items()
         )
         file.add(captures, people.settings_sha256 or TEMPLATES_HASH)
@@ -122,6 +121,7 @@ class Candidates:
             len(names) == len(people.entries),
             f"'{path}' holds several captures of one person; open it as a Gallery.",
         )
+        people.minutiae = {row: bytes(own) for row, own in people.minutiae.items()}
         candidates = cls()
         candidates._people = people
         candidates._rows = max(people.entries, default=0)

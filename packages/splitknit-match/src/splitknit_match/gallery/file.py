@@ -17,7 +17,7 @@ import sqlite3
 import stat
 import threading
 import unicodedata
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -275,7 +275,7 @@ class People:
         settings_sha256: str,
         entries: list[Entry],
         templates: dict[int, bytes],
-        minutiae: Mapping[int, bytes | memoryview],
+        minutiae: dict[int, bytes | memoryview],
     ) -> None:
         """Take over what was read; `minutiae`: of some rows, as
         :func:`splitknit_match.gallery.minutia_index.kept_minutiae` makes them."""
@@ -283,7 +283,7 @@ class People:
         self.settings_sha256 = settings_sha256
         self.entries = {entry.row: entry for entry in entries}
         self.templates = templates
-        self._minutiae = minutiae
+        self.minutiae = minutiae
         self.prepared = lru_cache(_PREPARED)(self._prepare)
         self.of = lru_cache(1)(self._chosen)
         self._index: MinutiaIndex | None = None
@@ -323,14 +323,11 @@ class People:
 
         with self._lock:
             if self._index is None:
-                known, self._minutiae = self._minutiae, {}
-                self._index = MinutiaIndex(self.templates, self.path, known, progress)
+                self._index = MinutiaIndex(self.templates, self.path, self.minutiae, progress)
+                # what was read of a file is let go, what was found is kept
+                known = self.minutiae.items()
+                self.minutiae = {row: own for row, own in known if isinstance(own, bytes)}
             return self._index
-
-    @property
-    def minutiae(self) -> Mapping[int, bytes | memoryview]:
-        """Of rows whose minutiae are known."""
-        return self._minutiae if self._index is None else self._index.minutiae
 
 
 WAIT_S = 10.0  # how long one waits for another program's transaction
@@ -412,22 +409,17 @@ class GalleryFile:
             known_state, kept = self._kept
             if kept is not None and state == known_state:
                 return kept
+            self._kept = None, None
             entries = self._entries(database, person)
-            earlier = kept or People(self.path, "", [], {}, {})
-            known = earlier.minutiae
             (total,) = database.execute("SELECT sum(length(minutiae)) FROM capture").fetchone()
             # in one piece, whose memory is returned once an index is made of it
             room, used = np.empty(total or 0, dtype=np.uint8).data, 0
             templates, minutiae = dict[int, bytes](), dict[int, bytes | memoryview]()
             for entry in entries:
-                row = entry.row
-                if earlier.entries.get(row) == entry:
-                    templates[row], minutiae[row] = earlier.templates[row], known.get(row, b"")
-                else:
-                    templates[row], own = self._read(database, entry)
-                    minutiae[row] = part = room[used : used + len(own)]
-                    part[:] = own
-                    used += len(own)
+                templates[entry.row], own = self._read(database, entry)
+                minutiae[entry.row] = part = room[used : used + len(own)]
+                part[:] = own
+                used += len(own)
             people = People(self.path, _settings_of(database), entries, templates, minutiae)
             if person is None:
                 self._kept = state, people

@@ -93,7 +93,8 @@ class RankedCandidate:
     session: str
     similarity: float
     fmr: float | None
-    """False match rate at this similarity, None where it is not known."""
+    """False match rate at this similarity, None where it is not known; of those behind the first
+    of a large gallery at most this."""
     expected_false_matches: float | None
     """Captures of other fingers, among those searched, that are as similar by chance."""
 
@@ -227,7 +228,9 @@ def identify_finger(
     doubt = side.doubt
     undoubted = doubt is None and searched.compared == searched.captures
     undoubted = undoubted and bool(rated) and rated[0].answer != "match"
-    if isinstance(probe, Template) and undoubted and _of_prints(best[0]):
+    # two prints of known scales, one of which may be wrong
+    prints = undoubted and best[0].method == "fusion" and "photo" not in best[0].pair.scores
+    if isinstance(probe, Template) and prints:
         doubt = scale_doubt(probe, people.prepared(best[0].entry.row).template, fmr)
         findings += [] if doubt is None else [doubt]
     decision, undecided = _decided(rated, table, fmr, searched.captures)
@@ -296,16 +299,8 @@ def _decided(
     )
 
 
-def _of_prints(comparison: _Comparison) -> bool:
-    """Whether two prints were compared whose scales are known, so that one may be wrong."""
-    return comparison.method == "fusion" and "photo" not in comparison.pair.scores
-
-
 ALL_PRINTS = 200
 """In a gallery of no more captures all are compared. Chosen on: speed."""
-_UNLIKELY_FMR = 0.1
-"""Candidates behind the first whose false match rate is larger by minutiae alone keep it: ridges
-would only find a smaller one. Chosen on: speed."""
 
 
 def _search(
@@ -347,16 +342,10 @@ def _search(
         if any(comparison.method == "fusion" for comparison in comparisons):
             compared_by = "fusion"
     best = _merged(comparisons, merge)[:top]
-    if quick and best:  # rates were measured by comparisons as of `match`
-        likely = similarity_at(_UNLIKELY_FMR, compared_by)
-        again = [
-            each.entry
-            for each in best
-            if each is best[0] or each.pair.similarity >= likely
-            if each.method == "fusion" and (each.pair.minutiae or 0.0) < SURE
-        ]
-        kept = [each for each in best if each.entry not in again]
-        best = _ranked([*_by_templates(people, prepared, again, no_progress), *kept])
+    if quick and best and (best[0].pair.minutiae or 0.0) < SURE:
+        # rates were measured by comparisons as of `match`; in others of a search they may be larger
+        (again,) = _by_templates(people, prepared, [best[0].entry], no_progress)
+        best = _ranked([again, *best[1:]])
     searched = Searched(
         compared_by=compared_by,
         fingers=sought.fingers,

@@ -89,33 +89,30 @@ class MinutiaIndex:
         self,
         templates: Mapping[int, bytes],
         gallery: Path,
-        known: Mapping[int, bytes | memoryview] | None = None,
+        minutiae: dict[int, bytes | memoryview],
         progress: Progress = no_progress,
     ) -> None:
         """Take templates by their rows, but those of failures to acquire.
 
-        `known`: minutiae of some rows, as :func:`kept_minutiae` makes them; those of other rows are
-        found in the templates. Raises BadInput if one is damaged.
+        `minutiae`: of some rows, as :func:`kept_minutiae` makes them; those of other rows are found
+        in the templates, and added. Raises BadInput if one is damaged.
         """
-        known = known or {}
         rows = sorted(row for row, template in templates.items() if template)
-        side: dict[int, bytes | memoryview]
-        side = {row: known[row] for row in rows if _is_sound(known.get(row, b""))}
-        missing = [row for row in rows if row not in side]
+        missing = [row for row in rows if not _is_sound(minutiae.get(row, b""))]
 
         def found(row: int) -> bytes:
             return kept_minutiae(unpacked(gallery, row, templates[row]))
 
-        for number, (row, minutiae) in enumerate(zip(missing, each(found, missing), strict=True)):
+        for number, (row, own) in enumerate(zip(missing, each(found, missing), strict=True)):
             progress("finding minutiae", number / len(missing))
-            side[row] = minutiae
-        counts = {row: len(side[row]) // _ENTRY.itemsize for row in rows}
+            minutiae[row] = own
+        counts = {row: len(minutiae[row]) // _ENTRY.itemsize for row in rows}
         self.others = [row for row, count in counts.items() if not count]
         """Rows that hold too few minutiae to be searched."""
         self.rows = np.array([row for row, count in counts.items() if count], dtype=np.int64)
         self.count = np.array([count for count in counts.values() if count], dtype=np.int64)
         self.first = np.cumsum(self.count) - self.count
-        kept = np.frombuffer(b"".join(side[row][1:] for row in rows), _ENTRY)
+        kept = np.frombuffer(b"".join(minutiae[row][1:] for row in rows), _ENTRY)
         # whatever a damaged file holds, these are numbers of the size of a print's
         self.x, self.y, self.turn = (
             np.clip(np.nan_to_num(kept[name]), -_FARTHEST_MM, _FARTHEST_MM)
@@ -142,20 +139,6 @@ class MinutiaIndex:
 
     def __len__(self) -> int:
         return len(self.rows)
-
-    @property
-    def minutiae(self) -> dict[int, bytes]:
-        """Minutiae of each row, as :func:`kept_minutiae` makes them."""
-        kept = np.empty(len(self.turn), _ENTRY)
-        kept["x"], kept["y"], kept["turn"] = self.x, self.y, self.turn
-        keys = np.arange(1 << _BITS, dtype=np.uint16)
-        for table in range(_TABLES):
-            kept["keys"][self.lists[table], table] = keys.repeat(np.diff(self.ends[table]))
-        parts = np.split(kept, self.first[1:])
-        found = {
-            int(row): _VERSION + part.tobytes() for row, part in zip(self.rows, parts, strict=True)
-        }
-        return found | dict.fromkeys(self.others, _VERSION)
 
     def nearest(self, probe: Cylinders, k: int) -> list[int]:
         """Rows of the `k` captures that agree with the probe best, best first; equal ones by
