@@ -68,7 +68,7 @@ _SCHEMA = {
 }
 """All that ``sqlite_master`` lists, in this order: names and statements."""
 _NO_TABLES = "its tables are not a gallery's"
-_FIELDS = ("kind", "source_sha256", "area_mm2", "failure", "enrolled_at", "template_sha256")
+FIELDS = ("kind", "source_sha256", "area_mm2", "failure", "enrolled_at", "template_sha256")
 _PRAGMAS = (
     "trusted_schema=OFF",
     "cell_size_check=ON",
@@ -435,7 +435,7 @@ class GalleryFile:
         wanted = {"name": person, "finger": finger, "session": session}
         wanted = {name: value for name, value in wanted.items() if value is not None}
         columns = ", ".join(
-            ("name", "finger", "session", *_FIELDS, "length(template)", "capture.id")
+            ("name", "finger", "session", *FIELDS, "length(template)", "capture.id")
         )
         where = " AND ".join(f"{name} = ?" for name in wanted) or "TRUE"
         query = (
@@ -490,12 +490,9 @@ class GalleryFile:
                 digest = hashlib.sha256(capture.template).hexdigest()
                 entry = replace(capture.entry, template_sha256=digest)
                 earlier = self._entries(database, *entry.names)
-                same = [
-                    known.template_sha256 == digest and known.source_sha256 == entry.source_sha256
-                    for known in earlier
-                ]
-                new.append(not any(same))
-                if any(same):
+                known = [(one.template_sha256, one.source_sha256) for one in earlier]
+                new.append((digest, entry.source_sha256) not in known)
+                if not new[-1]:
                     continue
                 require(
                     replaces or not earlier,
@@ -508,7 +505,7 @@ class GalleryFile:
                 (person,) = database.execute(
                     "SELECT id FROM person WHERE name = ?", (entry.person,)
                 ).fetchone()
-                facts = [getattr(entry, name) for name in _FIELDS]
+                facts = [getattr(entry, name) for name in FIELDS]
                 values = [None, person, entry.finger, entry.session, *facts, capture.template, own]
                 database.execute(
                     f"INSERT INTO capture VALUES (?{', ?' * (len(values) - 1)})", values

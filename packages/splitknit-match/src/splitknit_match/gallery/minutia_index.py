@@ -30,7 +30,6 @@ from splitknit.model import Progress, no_progress
 from splitknit_match.matching.minutia_pairs import CYLINDER, MAX_COMPARED, Cylinders, Places
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, unpack
-from splitknit_match.prints.minutiae_record import holds_minutiae
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -312,8 +311,6 @@ def kept_minutiae(template: Template) -> bytes:
 def minutiae_of(payload: bytes) -> bytes:
     """:func:`kept_minutiae` of a stored payload; empty where it is a failure to acquire, holds
     minutiae alone, or cannot be read."""
-    if holds_minutiae(payload):
-        return b""
     try:
         return kept_minutiae(unpack(payload))
     except BadInput:

@@ -382,11 +382,8 @@ def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
     if act.name == "enroll":
         person, which = fields.pop("person"), fields.pop("finger")
         enrolment = gallery.enroll(finger, person, which, put_down=act.written, **fields)
-        return {
-            "enrolled": known_json(enrolment.enrolled),
-            "alike": known_json(enrolment.alike),
-            "findings": known_json(enrolment.findings),
-        }
+        made = "enrolled", "alike", "findings"
+        return {name: known_json(getattr(enrolment, name)) for name in made}
     if act.name == "quality":
         result = make_template(finger)
         facts = {name: getattr(result.a, name) for name in ("acquired", "area_mm2", "chance")}

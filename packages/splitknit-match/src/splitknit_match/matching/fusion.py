@@ -43,6 +43,7 @@ from splitknit_match.matching.ridge import (
     refined,
     ridge_match,
     scored,
+    turn_of,
 )
 from splitknit_match.matching.template import Template, scaled
 from splitknit_match.prints.minutiae_record import pack_minutiae
@@ -177,14 +178,12 @@ def fused_photo(
     photo, fixed = ((a, b), (b, a))[number]
     log_scale = _log_frequency(photo.template) - _log_frequency(fixed.template)
     middle = math.exp(min(max(log_scale, -_MAX_LOG_SCALE), _MAX_LOG_SCALE))
-
-    def match_at(scale: float) -> _FusedMatch:
-        larger = Prepared(scaled(photo.template, scale))
-        return fused_match(*((fixed, larger) if number else (larger, fixed)), quick=quick)
-
-    tried = [(match_at(middle * scale), middle * scale) for scale in _SCALES]
-    match, scale = max(tried, key=lambda attempt: attempt[0].similarity)
-    return match, scale, number
+    tried = []
+    for scale in _SCALES:
+        larger = Prepared(scaled(photo.template, middle * scale))
+        pair = (fixed, larger) if number else (larger, fixed)
+        tried.append((fused_match(*pair, quick=quick), middle * scale, number))
+    return max(tried, key=lambda attempt: attempt[0].similarity)
 
 
 _ONE_LOG_SCALE = 0.06
@@ -370,7 +369,7 @@ def _bends(a: Prepared, b: Prepared, affine: Affine) -> list[FloatArray]:
             *(grid.every_centre for grid in grids),
         )
     )
-    turn = a.cylinders.turn + _angle(affine)
+    turn = a.cylinders.turn + turn_of(affine)
     shifts = drifted((in_b, turn), (own, b.cylinders.turn), centres)
     return [
         (shift / pitch_mm).astype(np.float32).reshape(*grid.grid, 2)
@@ -383,11 +382,6 @@ def _laid(a: Prepared, affine: Affine) -> Positions:
     assert a.cylinders is not None
     place = a.pixels(a.cylinders.place) - affine[:, 2]
     return np.asarray(place @ np.linalg.inv(affine[:, :2]).T)
-
-
-def _angle(affine: Affine) -> float:
-    """By which A is turned, counter-clockwise."""
-    return math.atan2(affine[1, 0] - affine[0, 1], affine[0, 0] + affine[1, 1])
 
 
 def _order(side: Prepared) -> tuple[bytes, bytes]:
@@ -408,7 +402,7 @@ def _agreeing_minutiae(
     offset_mm = (in_a - (np.array(a.template.valid.shape[::-1]) - 1) / 2) * a.template.pitch_mm
     place = (offset_mm[:, 0] - 1j * offset_mm[:, 1])[shown_by_a]
     count = agreeing(
-        (place, (b.cylinders.turn - _angle(affine))[shown_by_a]),
+        (place, (b.cylinders.turn - turn_of(affine))[shown_by_a]),
         (a.cylinders.place, a.cylinders.turn),
     )
     return count, math.sqrt(float(shown_by_a.sum()) * float(shown_by_b.sum()))

@@ -12,6 +12,7 @@ finger that could not be acquired is a payload of zero bytes.
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass, field, replace
 
@@ -93,8 +94,8 @@ class Template:
             return None
         found_again = float(self.minutiae.quality.sum()) / 100
         offset, area, minutiae = _CHANCE
-        logit = offset + area * np.log(max(self.area_mm2, 1.0)) + minutiae * np.sqrt(found_again)
-        return round(float(1 / (1 + np.exp(-logit))), 3)
+        logit = offset + area * math.log(max(self.area_mm2, 1.0)) + minutiae * found_again**0.5
+        return round(1 / (1 + math.exp(-logit)), 3)
 
     @property
     def printed(self) -> Template:
