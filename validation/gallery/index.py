@@ -72,7 +72,7 @@ def main() -> None:
             *map(pack, joined(others, GALLERY_SIZE - len(names))),
         ]
         started = time.process_time()
-        index = MinutiaIndex(dict(enumerate(gallery)), HERE)
+        index = MinutiaIndex(dict(enumerate(gallery)), HERE, {})
         built, started = time.process_time() - started, time.process_time()
         for n, name in enumerate(names):
             own = [k for k, mate_name in enumerate(names) if mate_name[:-2] == name[:-2]]

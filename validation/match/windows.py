@@ -36,6 +36,7 @@ from splitknit_match.matching import fusion
 from splitknit_match.matching.fusion import SMALL_MM2, fused_match
 from splitknit_match.matching.methods import TABLES, fmr_basis
 from splitknit_match.matching.ridge import Prepared
+from splitknit_match.matching.template import Template
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "windows.json"
@@ -397,26 +398,33 @@ def touch(image: Image, size: tuple[int, int], rng: np.random.Generator) -> Imag
     return np.ascontiguousarray(turned_[top : top + size[0], left : left + size[1]])
 
 
+def touches(
+    job: Job, number: int
+) -> tuple[list[list[Template]], list[list[Template]], np.random.Generator]:
+    """Of each finger, by a small sensor: touches enrolled, every fourth impression as a probe; and
+    what draws on."""
+    size = list(SENSORS_PX.values())[number]
+    rng = np.random.default_rng([SEED, 3, number])
+    enrolled, probes = [], []
+    for images in (prints(name, job)[0] for name in SETS):
+        for first in range(0, len(images), 8):
+            kept = [first + k for k in range(8) if k not in (3, 7)]
+            places = [kept[n % 6] for n in range(ENROLLED)]
+            for side, chosen in ((enrolled, places), (probes, [first + 3, first + 7])):
+                drawn = [touch(images[k], size, rng) for k in chosen]
+                side.append([features_of(each, "template", job) for each in drawn])
+    return enrolled, probes, rng
+
+
 def sensors(job: Job) -> dict[str, NDArray[np.float64]]:
-    """Comparisons of touches of small sensors: every fourth impression is a probe, against eight
-    touches of the others, of its finger and of twelve others, four of them of its sensor."""
-    fingers = [
-        images[k : k + 8]
-        for images in (prints(name, job)[0] for name in SETS)
-        for k in range(0, len(images), 8)
-    ]
+    """Comparisons of touches of small sensors: probes against eight touches of their finger and of
+    twelve others, four of them of its sensor."""
     compared = {}
-    for number, (name, size) in enumerate(SENSORS_PX.items()):
+    for number, name in enumerate(SENSORS_PX):
         file = job.cache / f"sensor_{number}.npy"
         if not file.is_file():
-            rng = np.random.default_rng([SEED, 3, number])
-            enrolled, probes = [], []
-            for images in fingers:
-                kept = [image for k, image in enumerate(images) if k not in (3, 7)]
-                touches = [touch(kept[n % 6], size, rng) for n in range(ENROLLED)]
-                enrolled.append([Prepared(features_of(each, "template", job)) for each in touches])
-                own = [touch(images[k], size, rng) for k in (3, 7)]
-                probes.append([Prepared(features_of(each, "template", job)) for each in own])
+            *both, rng = touches(job, number)
+            enrolled, probes = ([[*map(Prepared, own)] for own in side] for side in both)
             rows = []
             for finger, own in enumerate(probes):
                 first = finger // 5 * 5

@@ -124,6 +124,10 @@ CODES: dict[str, Code] = {
     "unlike-earlier": Code(
         "What was enrolled is unlike the earlier captures of the finger.", "Check the names."
     ),
+    "low-chance": Code(
+        "Another impression of an enrolled print would often not match it.",
+        "Enrol another impression of the finger, of more skin or clearer.",
+    ),
     "readable-by-others": Code(
         "Others on this computer can read a gallery or a key.", "`chmod 600`."
     ),

@@ -64,7 +64,7 @@ def gallery():
 
 
 def test_it_finds_what_comparing_all_finds(gallery):
-    index = MinutiaIndex(gallery, Path("g.skg"))
+    index = MinutiaIndex(gallery, Path("g.skg"), {})
     assert len(index) == CAPTURES and not index.others
     for k in range(0, CAPTURES, 25):
         probe = cylinders(seen(k, 0.3 * k, (12.0, -9.0), again=k + 1))
@@ -83,12 +83,13 @@ def test_it_finds_what_comparing_all_finds(gallery):
 @pytest.mark.slow
 def test_steps_make_no_difference(gallery):
     rows = list(gallery)
-    first = MinutiaIndex({row: gallery[row] for row in rows[:200]}, Path("g.skg"))
+    first = {}
+    MinutiaIndex({row: gallery[row] for row in rows[:200]}, Path("g.skg"), first)
     changed = {row: gallery[row] for row in rows[50:]} | {rows[60]: seen(5000), 9999: b""}
     same = set(rows[50:200]) - {rows[60]}
-    known = {row: minutiae for row, minutiae in first.minutiae.items() if row in same}
+    known = {row: minutiae for row, minutiae in first.items() if row in same}
     stepwise = MinutiaIndex(changed, Path("g.skg"), known)
-    whole = MinutiaIndex(changed, Path("g.skg"))
+    whole = MinutiaIndex(changed, Path("g.skg"), {})
     assert set(stepwise.rows.tolist()) == set(whole.rows.tolist()) == set(rows[50:])
     for k in (20, 60, 130, 250):
         probe = cylinders(seen(k, 0.5, again=3))
@@ -98,11 +99,12 @@ def test_steps_make_no_difference(gallery):
 
 def test_damaged_minutiae_are_found_anew_or_harm_nothing(gallery):
     some = {row: gallery[row] for row in list(gallery)[:20]}
-    whole = MinutiaIndex(some, Path("g.skg"))
-    entry = whole.minutiae[30]
-    known = dict(whole.minutiae) | {10: b"", 20: b"\x02" + entry[1:], 30: entry[:-1]}
-    again = MinutiaIndex(some, Path("g.skg"), known)
-    assert again.minutiae == whole.minutiae
+    whole = {}
+    MinutiaIndex(some, Path("g.skg"), whole)
+    entry = whole[30]
+    known = whole | {10: b"", 20: b"\x02" + entry[1:], 30: entry[:-1]}
+    MinutiaIndex(some, Path("g.skg"), known)
+    assert known == whole
     known[30] = entry[:1] + b"\xff" * (len(entry) - 1)
     probe = cylinders(seen(7, 0.5, again=3))
     assert MinutiaIndex(some, Path("g.skg"), known).nearest(probe, 1) == [70]
@@ -138,10 +140,10 @@ def test_a_prepared_template_is_compared_as_the_template(gallery):
 def test_few_minutiae_are_compared_always(gallery):
     bare = unpack(gallery[0])
     index = MinutiaIndex(
-        {1: pack(Template(bare.level, bare.valid, 0.1)), 2: gallery[10]}, Path("g.skg")
+        {1: pack(Template(bare.level, bare.valid, 0.1)), 2: gallery[10]}, Path("g.skg"), {}
     )
     assert index.others == [1] and index.rows.tolist() == [2]
-    empty = MinutiaIndex({}, Path("g.skg"))
+    empty = MinutiaIndex({}, Path("g.skg"), {})
     assert len(empty) == 0 and empty.nearest(cylinders(gallery[0]), 5) == []
 
 
@@ -164,6 +166,24 @@ def test_of_many_those_are_compared_whose_minutiae_agree_best(gallery, tmp_path,
     assert nearest.candidates[0].person == exhaustive.candidates[0].person == "P7"
     assert absent.candidates[0].similarity < nearest.candidates[0].similarity - 2
     assert nearest.candidates[0].similarity == exhaustive.candidates[0].similarity
+
+
+def test_a_searched_gallery_that_is_changed_is_searched_again(gallery, tmp_path, monkeypatch):
+    """Also beside a failure to acquire, of which there are no minutiae."""
+    monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 1)
+
+    def new(k, template):
+        return NewCapture(Entry(f"P{k}", "right_index", "1", "template", ""), template)
+
+    with splitknit_match.Gallery(tmp_path / "g.skg") as opened:
+        opened.add([new(k, gallery[10 * k]) for k in range(5)] + [new(5, b"")], TEMPLATES_HASH)
+        probe = seen(3, 0.4, again=2)
+        first = opened.identify(probe, top=1)
+        opened.add([new(6, gallery[60])], TEMPLATES_HASH)
+        second = opened.identify(probe, top=1)
+        assert first.candidates[0].person == second.candidates[0].person == "P3"
+        assert (second.searched.captures, second.searched.failures) == (6, 1)
+        assert opened.identify(seen(6, again=4), top=1).candidates[0].person == "P6"
 
 
 def test_where_minutiae_are_sure_ridges_propose_nothing(monkeypatch):

@@ -309,3 +309,18 @@ def test_one_finger_under_two_names(prints, tmp_path):
         splitknit_match.enroll(
             file, prints["ann"], "x", "left_thumb", resolution_ppi=PPI, duplicates="maybe"
         )
+
+
+@pytest.mark.slow
+def test_a_small_print_asks_for_another_impression(prints, tmp_path):
+    whole = splitknit_match.enroll(
+        tmp_path / "g.skg", prints["ann"], "Ann", "right_index", resolution_ppi=500
+    )
+    part = prints["bob"][150:270, 120:240]
+    small = splitknit_match.enroll(
+        tmp_path / "g.skg", part, "Bob", "right_index", resolution_ppi=500
+    )
+    assert whole.enrolled[0].chance > 0.9
+    assert small.enrolled[0].chance < 0.5
+    assert [finding.code for finding in whole.findings] == []
+    assert "enrol another impression" in str(small.findings[0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from refusals import bad_input
-from splitknit_match.matching.features import cell_px, lbp_codes, lbp_features, uniform_bins
+from splitknit_match.matching.features import cells, lbp_codes, lbp_features, uniform_bins
 
 
 def test_codes_are_those_of_scikit_image():
@@ -42,7 +42,7 @@ def test_gain_and_offset_do_not_change_codes():
 )
 def test_features_are_histograms_of_whole_cells(px_per_mm, size, cell):
     image = np.random.default_rng(7).random(size).astype(np.float32)
-    assert cell_px(px_per_mm) == cell
+    assert cells(image, px_per_mm)[0] == cell
     bins = uniform_bins()[lbp_codes(image)]
     counted = [
         np.bincount(bins[row : row + cell, column : column + cell].ravel(), minlength=59)

@@ -1,7 +1,9 @@
-"""Templates of the ridge matcher: levels, packing, damage."""
+"""Templates of the ridge matcher: levels, packing, damage, chance of a match."""
 
+import json
 import struct
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from refusals import bad_input
 from splitknit.errors import BadInput
 from splitknit_match.matching.ridge_band import RidgeBand, ridge_band
 from splitknit_match.matching.template import (
+    _CHANCE,
     Template,
     failed_template,
     leveled,
@@ -291,3 +294,32 @@ def test_minutiae_lie_on_the_ridges_they_were_found_on():
     failed = with_minutiae(failed_template(), valid, minutiae_at(places, size))
     assert failed.minutiae.count == len(places)
     assert failed.empty
+
+
+def test_the_chance_of_a_match_is_as_measured():
+    file = Path(__file__).resolve().parents[4] / "validation" / "match" / "matchability.json"
+    measured = json.loads(file.read_text(encoding="utf-8"))
+    *weights, offset = measured["weights"]
+    assert (offset, *weights) == _CHANCE
+    for kind in ("whole", "windows", "touches"):
+        for part in measured[kind]["bins"]:
+            assert abs(part["predicted"] - part["observed"][0]) < 10, (kind, part)
+
+
+def print_of(side_mm, minutiae, quality=60):
+    """A square print."""
+    side = round(side_mm / 0.1)
+    place = np.zeros(minutiae, np.int32)
+    kinds = np.ones(minutiae, np.uint8), np.full(minutiae, quality, np.uint8)
+    found = Minutiae(place, place, np.zeros(minutiae), *kinds, (100, 100))
+    return Template(np.ones((side, side), np.uint8), np.ones((side, side), bool), 0.1, found)
+
+
+def test_the_chance_of_a_match_grows_with_skin_and_minutiae():
+    small, large, clear = print_of(5, 6), print_of(15, 6), print_of(15, 40)
+    assert small.chance < 0.3
+    assert 0.8 < large.chance < clear.chance < 1
+    assert print_of(15, 40, quality=10).chance < clear.chance
+    assert replace(clear, kind="surface").chance is None
+    assert replace(clear, minutiae=None).chance is None
+    assert failed_template().chance is None

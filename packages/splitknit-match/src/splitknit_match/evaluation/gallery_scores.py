@@ -45,8 +45,7 @@ def gallery_scores(
     People of an encrypted one are numbered by enrolment (P001 ...). Raises BadInput if the gallery
     cannot be read, or holds fewer than two sessions or fingers.
     """
-    with GalleryFile(path, key) as opened:
-        people = opened.people()
+    people = GalleryFile(path, key).people()
     captures = list(people.entries.values())
     persons = [capture.person for capture in captures]
     if key is not None:

@@ -84,9 +84,10 @@ class Candidates:
 
     def remove(self, name: str) -> None:
         """Take a template out. Raises BadInput if there is none of this name."""
-        names = {entry.person for entry in self._people.entries.values()}
-        require(name in names, f"there is no template '{name}' among the candidates.")
-        self._people = self._without((name,))
+        left = self._without((name,))
+        there = len(left.entries) < len(self)
+        require(there, f"there is no template '{name}' among the candidates.")
+        self._people = left
 
     def prepare(self, progress: Progress = no_progress) -> None:
         """Make what the first search would make: the index of all minutiae."""
@@ -104,7 +105,7 @@ class Candidates:
         require(len(self) > 0, "there are no templates to save; add some first.")
         people = self._people
         captures = (
-            NewCapture(entry, people.templates[row], people.minutiae.get(row, b""))
+            NewCapture(entry, people.templates[row], bytes(people.minutiae.get(row, b"")))
             for row, entry in people.entries.items()
         )
         file.add(captures, people.settings_sha256 or TEMPLATES_HASH)
@@ -121,6 +122,7 @@ class Candidates:
             len(names) == len(people.entries),
             f"'{path}' holds several captures of one person; open it as a Gallery.",
         )
+        people.minutiae = {row: bytes(own) for row, own in people.minutiae.items()}
         candidates = cls()
         candidates._people = people
         candidates._rows = max(people.entries, default=0)
@@ -156,5 +158,4 @@ def _area_mm2(payload: bytes) -> float:
     if holds_minutiae(payload):
         unpack_minutiae(payload)
         return 0.0
-    template = unpack(payload)
-    return 0.0 if template.empty else round(template.area_mm2, 2)
+    return round(unpack(payload).area_mm2, 2)

@@ -21,7 +21,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import numpy as np
 
 from splitknit import BadInput
 from splitknit.arguments import AnyPath
@@ -66,7 +68,7 @@ _SCHEMA = {
 }
 """All that ``sqlite_master`` lists, in this order: names and statements."""
 _NO_TABLES = "its tables are not a gallery's"
-_FIELDS = ("kind", "source_sha256", "area_mm2", "failure", "enrolled_at", "template_sha256")
+FIELDS = ("kind", "source_sha256", "area_mm2", "failure", "enrolled_at", "template_sha256")
 _PRAGMAS = (
     "trusted_schema=OFF",
     "cell_size_check=ON",
@@ -255,6 +257,15 @@ _PREPARED = 64
 """Templates that are kept ready, 2 to 5 MB each. Chosen on: memory."""
 
 
+class Chosen(NamedTuple):
+    """Captures that a search goes through; of the acquired ones also how many."""
+
+    entries: list[Entry]
+    acquired: list[Entry]
+    fingers: int
+    people: int
+
+
 class People:
     """What a gallery held at one time, in memory; threads may share it."""
 
@@ -264,7 +275,7 @@ class People:
         settings_sha256: str,
         entries: list[Entry],
         templates: dict[int, bytes],
-        minutiae: dict[int, bytes],
+        minutiae: dict[int, bytes | memoryview],
     ) -> None:
         """Take over what was read; `minutiae`: of some rows, as
         :func:`splitknit_match.gallery.minutia_index.kept_minutiae` makes them."""
@@ -274,6 +285,7 @@ class People:
         self.templates = templates
         self.minutiae = minutiae
         self.prepared = lru_cache(_PREPARED)(self._prepare)
+        self.of = lru_cache(1)(self._chosen)
         self._index: MinutiaIndex | None = None
         self._lock = threading.Lock()
 
@@ -284,8 +296,8 @@ class People:
 
         return Prepared(unpacked(self.path, row, self.templates[row]))
 
-    def of(self, person: str | None, finger: str | None) -> list[Entry]:
-        """Entries of a person, a finger, or all, in the order of enrolment."""
+    def _chosen(self, person: str | None, finger: str | None) -> Chosen:
+        """Those of a person, a finger, or all, in the order of enrolment."""
         entries = [
             entry
             for entry in self.entries.values()
@@ -299,7 +311,10 @@ class People:
             f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
         )
         require(entries or not words, missing)
-        return entries
+        acquired = [entry for entry in entries if entry.template_bytes > 0]
+        people = {entry.person for entry in acquired}
+        fingers = {(entry.person, entry.finger) for entry in acquired}
+        return Chosen(entries, acquired, len(fingers), len(people))
 
     def index(self, progress: Progress = no_progress) -> MinutiaIndex:
         """Index of the minutiae of all templates."""
@@ -309,7 +324,9 @@ class People:
         with self._lock:
             if self._index is None:
                 self._index = MinutiaIndex(self.templates, self.path, self.minutiae, progress)
-                self.minutiae = self._index.minutiae
+                # what was read of a file is let go, what was found is kept
+                known = self.minutiae.items()
+                self.minutiae = {row: own for row, own in known if isinstance(own, bytes)}
             return self._index
 
 
@@ -392,15 +409,17 @@ class GalleryFile:
             known_state, kept = self._kept
             if kept is not None and state == known_state:
                 return kept
+            self._kept = None, None
             entries = self._entries(database, person)
-            earlier = kept or People(self.path, "", [], {}, {})
-            templates, minutiae = dict[int, bytes](), dict[int, bytes]()
+            (total,) = database.execute("SELECT sum(length(minutiae)) FROM capture").fetchone()
+            # in one piece, whose memory is returned once an index is made of it
+            room, used = np.empty(total or 0, dtype=np.uint8).data, 0
+            templates, minutiae = dict[int, bytes](), dict[int, bytes | memoryview]()
             for entry in entries:
-                row = entry.row
-                if earlier.entries.get(row) == entry:
-                    templates[row], minutiae[row] = earlier.templates[row], earlier.minutiae[row]
-                else:
-                    templates[row], minutiae[row] = self._read(database, entry)
+                templates[entry.row], own = self._read(database, entry)
+                minutiae[entry.row] = part = room[used : used + len(own)]
+                part[:] = own
+                used += len(own)
             people = People(self.path, _settings_of(database), entries, templates, minutiae)
             if person is None:
                 self._kept = state, people
@@ -416,7 +435,7 @@ class GalleryFile:
         wanted = {"name": person, "finger": finger, "session": session}
         wanted = {name: value for name, value in wanted.items() if value is not None}
         columns = ", ".join(
-            ("name", "finger", "session", *_FIELDS, "length(template)", "capture.id")
+            ("name", "finger", "session", *FIELDS, "length(template)", "capture.id")
         )
         where = " AND ".join(f"{name} = ?" for name in wanted) or "TRUE"
         query = (
@@ -436,7 +455,7 @@ class GalleryFile:
         sound = hashlib.sha256(template).hexdigest() == entry.template_sha256
         cure = "take it out with 'splitknit gallery remove', and enrol it again"
         require(sound, f"the template of {entry.words} in '{self.path}' is damaged; {cure}.")
-        return bytes(template), bytes(minutiae)
+        return bytes(template), minutiae
 
     # What changes it.
 
@@ -463,11 +482,7 @@ class GalleryFile:
 
         several = list(captures)
         one_blas_thread()
-
-        def minutiae_in(capture: NewCapture) -> bytes:
-            return capture.minutiae or minutiae_of(capture.template)
-
-        minutiae = list(each(minutiae_in, several))
+        minutiae = list(each(lambda new: new.minutiae or minutiae_of(new.template), several))
         new = []
         with self._changing(settings_sha256) as (database, _):
             first()
@@ -475,12 +490,9 @@ class GalleryFile:
                 digest = hashlib.sha256(capture.template).hexdigest()
                 entry = replace(capture.entry, template_sha256=digest)
                 earlier = self._entries(database, *entry.names)
-                same = [
-                    known.template_sha256 == digest and known.source_sha256 == entry.source_sha256
-                    for known in earlier
-                ]
-                new.append(not any(same))
-                if any(same):
+                known = [(one.template_sha256, one.source_sha256) for one in earlier]
+                new.append((digest, entry.source_sha256) not in known)
+                if not new[-1]:
                     continue
                 require(
                     replaces or not earlier,
@@ -493,7 +505,7 @@ class GalleryFile:
                 (person,) = database.execute(
                     "SELECT id FROM person WHERE name = ?", (entry.person,)
                 ).fetchone()
-                facts = [getattr(entry, name) for name in _FIELDS]
+                facts = [getattr(entry, name) for name in FIELDS]
                 values = [None, person, entry.finger, entry.session, *facts, capture.template, own]
                 database.execute(
                     f"INSERT INTO capture VALUES (?{', ?' * (len(values) - 1)})", values

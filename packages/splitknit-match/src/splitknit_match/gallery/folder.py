@@ -18,7 +18,7 @@ from splitknit.io.csv_table import csv_text, plain_text
 from splitknit.io.fields import read_json, text_of
 from splitknit.io.provenance import json_text
 from splitknit.io.targets import check_target
-from splitknit_match.gallery.file import Entry, GalleryFile, NewCapture, check_person
+from splitknit_match.gallery.file import FIELDS, Entry, GalleryFile, NewCapture, check_person
 from splitknit_match.gallery.gallery import content_of
 from splitknit_match.matching.template import VERSION, unpack
 from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
@@ -26,16 +26,7 @@ from splitknit_match.records.templates import encode_template, read_template
 
 TABLE_FILE, FACTS_FILE = "gallery.csv", "gallery.json"
 _FORMAT, _VERSION = "splitknit-gallery-export", 1
-_FIELDS = (
-    "person",
-    "finger",
-    "session",
-    "kind",
-    "source_sha256",
-    "area_mm2",
-    "failure",
-    "enrolled_at",
-)
+_FIELDS = ("person", "finger", "session", *FIELDS[:-1])
 _COLUMNS = ("template", *_FIELDS)
 
 
@@ -55,7 +46,7 @@ def export_gallery(gallery: GalleryFile, out: Path, *, person: str | None = None
     with atomic_folder(out) as folder:
         folder.chmod(0o700)
         (folder / "templates").mkdir(mode=0o700)
-        for number, entry in enumerate(people.of(name, None), start=1):
+        for number, entry in enumerate(people.of(name, None).entries, start=1):
             file = f"templates/{number:04d}.skt"
             _write(folder / file, encode_template(people.templates[entry.row], VERSION))
             table.append([file, *(getattr(entry, column) for column in _FIELDS)])

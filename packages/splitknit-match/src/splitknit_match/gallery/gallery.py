@@ -78,7 +78,7 @@ class Enrolling:
     """Whether the time of enrolment is kept."""
     resolution_ppi: float | None = None
     """Resolution of prints whose files do not state it."""
-    ridges: str | None = None
+    ridges: Ridges = None
     """``dark`` or ``light`` ridges of prints, where it is known."""
     where: PhotoFinger = field(default_factory=PhotoFinger)
     """Which finger of a photograph."""
@@ -114,6 +114,9 @@ class EnrolledCapture:
     source_sha256: str
     new: bool
     """False: the very same source was there already."""
+    chance: float | None = None
+    """That another impression of the finger, about as large, matches it; None of what is no
+    print."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,12 +223,11 @@ class Gallery(GalleryFile):
         how = how or Enrolling()
         ppi = how.resolution_ppi if resolution_ppi is None else resolution_ppi
         several: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
-        how = replace(how, ridges=ridges or how.ridges)
-        sources = [held(source, ppi, how.ridges) for source in several]
+        ridges = ridges or how.ridges
+        sources = [held(source, ppi, ridges) for source in several]
         if any(isinstance(source, Pixels) for source in sources):
-            ppi = None  # beside arrays it is theirs
-            how = replace(how, ridges=None)
-        how = replace(how, resolution_ppi=ppi)
+            ppi = ridges = None  # beside arrays they are theirs
+        how = replace(how, resolution_ppi=ppi, ridges=ridges)
         kinds = "a capture, a result, a template (.skt), a print or a record of minutiae"
         require(sources, f"name {kinds} to enrol.")
         single = len(sources) == 1 or session is None
@@ -270,10 +272,20 @@ class Gallery(GalleryFile):
         )
         _log.info("enrolled %d captures, %d of them new", len(added), sum(added))
         enrolled = [
-            _enrolled(capture, is_new) for capture, is_new in zip(captures, added, strict=True)
+            EnrolledCapture(
+                *row.entry.names,
+                row.entry.kind,
+                row.entry.area_mm2,
+                row.template != b"",
+                len(row.template),
+                row.entry.source_sha256,
+                is_new,
+                None if side.template is None else side.template.chance,
+            )
+            for row, is_new, side in zip(captures, added, sides, strict=True)
         ]
         findings = [finding for row in rows for finding in row.findings]
-        findings += [_kept_failure(each) for each in enrolled if each.new and not each.acquired]
+        findings += [finding for each in enrolled if each.new for finding in _shortcoming(each)]
         return Enrolment(
             content_of(self, created=created),
             tuple(enrolled),
@@ -329,18 +341,17 @@ def enroll(
     BadInput
         Naming what is at fault; the gallery is then as before.
     """
-    with Gallery(gallery, key) as opened:
-        return opened.enroll(
-            finger_of,
-            person,
-            finger,
-            session=session,
-            resolution_ppi=resolution_ppi,
-            ridges=ridges,
-            duplicates=duplicates,
-            how=how,
-            progress=progress,
-        )
+    return Gallery(gallery, key).enroll(
+        finger_of,
+        person,
+        finger,
+        session=session,
+        resolution_ppi=resolution_ppi,
+        ridges=ridges,
+        duplicates=duplicates,
+        how=how,
+        progress=progress,
+    )
 
 
 _DISSIMILAR_FMR = 0.01
@@ -369,11 +380,8 @@ class _Review:
             return
         people = self._seen = self.gallery.people()
         of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-        owners = [
-            (entry.person, entry.finger)
-            for entry in people.entries.values()
-            if entry.template_bytes
-        ]
+        acquired = people.of(None, None).acquired
+        owners = [(entry.person, entry.finger) for entry in acquired]
         earlier = owners.count(self.names)
         self.alike, self.findings = [], []
         for side in self.sides:
@@ -436,11 +444,25 @@ def _alike(candidate: RankedCandidate, person: str) -> Finding:
     return Finding("matches-another", f"it matches {who}; is that {asked}?", Severity.DOUBT)
 
 
-def _kept_failure(capture: EnrolledCapture) -> Finding:
+_POOR_CHANCE = 0.8
+"""Chance of a match below which another impression is asked for; 80 mm2 of clear ridges have it.
+Source: judgement."""
+
+
+def _shortcoming(capture: EnrolledCapture) -> list[Finding]:
+    """That a new capture will match nobody, or perhaps not its own finger."""
     who = in_words(capture.person, capture.finger, capture.session)
-    lacks = "too few ridges or minutiae (failure to acquire)"
-    words = f"{who} holds {lacks}; it is kept as such and will match nobody."
-    return Finding("failure-to-acquire", words)
+    if not capture.acquired:
+        lacks = "too few ridges or minutiae (failure to acquire)"
+        words = f"{who} holds {lacks}; it is kept as such and will match nobody."
+        return [Finding("failure-to-acquire", words)]
+    if capture.chance is None or capture.chance >= _POOR_CHANCE:
+        return []
+    words = (
+        f"another impression like {who} matches it with a chance of {100 * capture.chance:.0f} %:"
+        " enrol another impression, of more skin or clearer."
+    )
+    return [Finding("low-chance", words)]
 
 
 def _sessions(rows: Sequence[Made], earlier: Sequence[Entry], session: str | None) -> list[str]:
@@ -453,19 +475,6 @@ def _sessions(rows: Sequence[Made], earlier: Sequence[Entry], session: str | Non
         chosen.append(session or next(same, str(1 + max(numbers, default=0))))
         taken[chosen[-1]] = row.source_sha256
     return chosen
-
-
-def _enrolled(capture: NewCapture, new: bool) -> EnrolledCapture:
-    entry, size = capture.entry, len(capture.template)
-    return EnrolledCapture(
-        *entry.names,
-        entry.kind,
-        entry.area_mm2,
-        size > 0,
-        size,
-        entry.source_sha256,
-        new,
-    )
 
 
 def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = False) -> str:
@@ -538,7 +547,7 @@ def made_of(
         failure = (
             (side.template.lacks or "too little skin with ridges") if side.template.empty else ""
         )
-        area_mm2 = 0.0 if side.template.empty else round(side.template.area_mm2, 2)
+        area_mm2 = round(side.template.area_mm2, 2)
     else:
         raise BadInput(
             f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae."

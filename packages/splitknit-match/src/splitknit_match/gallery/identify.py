@@ -6,7 +6,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Literal
 
@@ -17,6 +17,7 @@ from splitknit.findings import Finding, worst_first
 from splitknit.io.provenance import known_json, settings_hash
 from splitknit.model import Progress, no_progress
 from splitknit_match.gallery.file import (
+    Chosen,
     Entry,
     GalleryFile,
     People,
@@ -26,7 +27,7 @@ from splitknit_match.gallery.file import (
     session_order,
 )
 from splitknit_match.gallery.minutia_index import each
-from splitknit_match.matching.fusion import by_ridges
+from splitknit_match.matching.fusion import SURE, by_ridges
 from splitknit_match.matching.inputs import Side, with_print
 from splitknit_match.matching.methods import (
     DECIDED_AT,
@@ -34,6 +35,7 @@ from splitknit_match.matching.methods import (
     check_rate,
     compare_minutiae,
     compare_templates,
+    compared_side,
     fmr_basis,
     reason,
     scale_doubt,
@@ -92,7 +94,8 @@ class RankedCandidate:
     session: str
     similarity: float
     fmr: float | None
-    """False match rate at this similarity, None where it is not known."""
+    """False match rate at this similarity, None where it is not known; of those behind the first
+    of a large gallery at most this."""
     expected_false_matches: float | None
     """Captures of other fingers, among those searched, that are as similar by chance."""
 
@@ -174,40 +177,51 @@ def identify_finger(
     """
     one_blas_thread()
     started = time.perf_counter()
-    _check(top, finger, fmr, merge)
+    require(top >= 1, f"`top` must be at least 1, but it is {top}.")
+    check_rate(fmr)
+    require(merge in _MERGED, f"`merge` must be one of {', '.join(_MERGED)}, but it is {merge!r}.")
+    if finger is not None:
+        known_finger(finger)
     person = None if person is None else check_person(person)
     people = gallery if isinstance(gallery, People) else comparable_people(gallery, person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-    entries = people.of(person, finger)
+    chosen = people.of(person, finger)
     if fmr is not None:  # refused here, before anything is made, where no such rate was measured
         similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
-
-    def reading(stage: str, fraction: float) -> None:
-        progress(stage, 0.5 * fraction)
-
-    side = read(reading)
+    side = read(lambda stage, fraction: progress(stage, 0.5 * fraction))
     side = side if of_minutiae else with_print(side)
     if side.either and not of_minutiae:
-        how: Any = {"top": top, "person": person, "finger": finger, "fmr": fmr, "merge": merge}
-        dark, light = (
-            partial(lambda part, _: part, side.reading(light=light)) for light in (False, True)
-        )
-        first = identify_finger(gallery, dark, **how, progress=progress)
-        if first.answer == "match":
-            return first
-        second = identify_finger(gallery, light, **how, progress=progress)
-        return second if second.answer == "match" else first
+        found: list[Identification] = []
+        for light in (False, True):
+            reading = partial(lambda part, _: part, side.reading(light=light))
+            found.append(
+                identify_finger(
+                    gallery,
+                    reading,
+                    top=top,
+                    person=person,
+                    finger=finger,
+                    fmr=fmr,
+                    merge=merge,
+                    progress=progress,
+                )
+            )
+            if found[-1].answer == "match":
+                return found[-1]
+        return found[0]
     probe = side_minutiae(side) if of_minutiae else side.template
     if probe is None:
         cure = "name a print, or enrol minutiae"
         raise BadInput(f"{side.path} holds minutiae, but '{people.path}' keeps ridges; {cure}.")
-    acquired = probe.acquired if isinstance(probe, Minutiae) else not probe.empty
-    area_mm2 = 0.0 if isinstance(probe, Minutiae) else probe.area_mm2
+    compared = compared_side(side)
+    if isinstance(probe, Minutiae):
+        compared = ComparedSide(compared.path, side.kind, 0.0, probe.acquired)
 
-    of_everybody = person is None and finger is None
-    most = max(top, round(_NEAREST * len(entries))) if of_everybody else len(entries)
+    most = len(chosen.entries)
+    if person is None and finger is None:
+        most = max(top, round(_NEAREST * most))
     best, searched, findings = _search(
-        people, probe, entries, most=most, merge=merge, top=top, progress=progress
+        people, probe, chosen, most=most, merge=merge, top=top, progress=progress
     )
     table = "minutiae_of_prints" if of_minutiae else searched.compared_by
     rated = [comparison.pair.rated(fmr) for comparison in best]
@@ -223,24 +237,24 @@ def identify_finger(
     )
 
     doubt = side.doubt
-    undoubted = doubt is None and searched.compared == searched.captures
-    undoubted = undoubted and bool(rated) and rated[0].answer != "match"
-    if isinstance(probe, Template) and undoubted and _of_prints(best[0]):
+    undoubted = doubt is None and searched.compared == searched.captures and rated
+    # two prints of known scales, one of which may be wrong
+    prints = undoubted and best[0].method == "fusion" and "photo" not in best[0].pair.scores
+    if isinstance(probe, Template) and prints and rated[0].answer != "match":
         doubt = scale_doubt(probe, people.prepared(best[0].entry.row).template, fmr)
         findings += [] if doubt is None else [doubt]
     decision, undecided = _decided(rated, table, fmr, searched.captures)
     if doubt is not None and not (decision and decision.match):  # a match confirms the scale
         decision, undecided = None, reason(doubt)
     answer = "undecided" if decision is None else "match" if decision.match else "no match"
-    if not acquired and doubt is None:
+    if not compared.acquired and doubt is None:
         answer, undecided = "not acquired", "failure to acquire"
-    basis = rated[0].fmr_basis if rated else fmr_basis(table)
     seconds = time.perf_counter() - started
     _log.info("searched %d captures in %.2f s: %s", searched.captures, seconds, answer)
     progress("done", 1.0)
     return Identification(
         gallery=str(people.path),
-        probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired),
+        probe=compared,
         mode="identification" if person is None else "verification",
         person=person,
         finger=finger,
@@ -248,7 +262,7 @@ def identify_finger(
         searched=searched,
         merge=merge,
         candidates=candidates,
-        fmr_basis=basis,
+        fmr_basis=rated[0].fmr_basis if rated else fmr_basis(table),
         decision=decision,
         answer=answer,
         undecided=undecided,
@@ -264,14 +278,6 @@ def comparable_people(gallery: GalleryFile, person: str | None = None) -> People
     return people
 
 
-def _check(top: int, finger: str | None, fmr: float | None, merge: str) -> None:
-    require(top >= 1, f"`top` must be at least 1, but it is {top}.")
-    check_rate(fmr)
-    require(merge in _MERGED, f"`merge` must be one of {', '.join(_MERGED)}, but it is {merge!r}.")
-    if finger is not None:
-        known_finger(finger)
-
-
 def _decided(
     rated: Sequence[Rated], table: str, fmr: float | None, captures: int
 ) -> tuple[SearchDecision | None, str | None]:
@@ -282,34 +288,17 @@ def _decided(
     if decision is None:
         fmr = fmr or max(DECIDED_AT, fmr_basis(table).smallest)
         decision = MatchDecision(False, fmr, similarity_at(fmr, table))
-    return (
-        SearchDecision(
-            decision.match,
-            decision.fmr,
-            decision.threshold,
-            decision.expected_fmr,
-            captures * decision.fmr,
-        ),
-        None,
-    )
-
-
-def _of_prints(comparison: _Comparison) -> bool:
-    """Whether two prints were compared whose scales are known, so that one may be wrong."""
-    return comparison.method == "fusion" and "photo" not in comparison.pair.scores
+    return SearchDecision(**asdict(decision), expected_false_matches=captures * decision.fmr), None
 
 
 ALL_PRINTS = 200
 """In a gallery of no more captures all are compared. Chosen on: speed."""
-_UNLIKELY_FMR = 0.1
-"""Candidates behind the first whose false match rate is larger by minutiae alone keep it: ridges
-would only find a smaller one. Chosen on: speed."""
 
 
 def _search(
     people: People,
     probe: Template | Minutiae,
-    entries: Sequence[Entry],
+    sought: Chosen,
     *,
     most: int,
     merge: str,
@@ -318,7 +307,7 @@ def _search(
 ) -> tuple[list[_Comparison], Searched, list[Finding]]:
     """Compare these, or of many the `most` whose minutiae agree best; the `top` of each person or
     finger, best first."""
-    acquired = [entry for entry in entries if entry.template_bytes > 0]
+    acquired = sought.acquired
     compared_by = "ridge"
     quick = False
     findings: list[Finding] = []
@@ -345,16 +334,15 @@ def _search(
         if any(comparison.method == "fusion" for comparison in comparisons):
             compared_by = "fusion"
     best = _merged(comparisons, merge)[:top]
-    if quick and best:  # rates were measured by comparisons as of `match`
-        likely = similarity_at(_UNLIKELY_FMR, compared_by)
-        kept = [each for each in best[1:] if each.pair.similarity < likely]
-        again = [each.entry for each in best if each not in kept]
-        best = _ranked([*_by_templates(people, prepared, again, no_progress), *kept])
+    if quick and best and (best[0].pair.minutiae or 0.0) < SURE:
+        # rates were measured by comparisons as of `match`; in others of a search they may be larger
+        (again,) = _by_templates(people, prepared, [best[0].entry], no_progress)
+        best = _ranked([again, *best[1:]])
     searched = Searched(
         compared_by=compared_by,
-        fingers=len({(entry.person, entry.finger) for entry in acquired}),
-        people=len({entry.person for entry in acquired}),
-        failures=len(entries) - len(acquired),
+        fingers=sought.fingers,
+        people=sought.people,
+        failures=len(sought.entries) - len(acquired),
         captures=len(acquired),
         compared=len(comparisons),
     )

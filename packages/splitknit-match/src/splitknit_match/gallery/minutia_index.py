@@ -30,7 +30,6 @@ from splitknit.model import Progress, no_progress
 from splitknit_match.matching.minutia_pairs import CYLINDER, MAX_COMPARED, Cylinders, Places
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, unpack
-from splitknit_match.prints.minutiae_record import holds_minutiae
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -80,7 +79,7 @@ Chosen on: speed."""
 
 
 class MinutiaIndex:
-    """Minutiae of captures in memory, 30 kB each. Threads may share it."""
+    """Minutiae of captures in memory, 17 kB each. Threads may share it."""
 
     rows: NDArray[np.int64]
     """(M,) numbers of the captures' rows."""
@@ -89,38 +88,35 @@ class MinutiaIndex:
         self,
         templates: Mapping[int, bytes],
         gallery: Path,
-        known: Mapping[int, bytes] | None = None,
+        minutiae: dict[int, bytes | memoryview],
         progress: Progress = no_progress,
     ) -> None:
         """Take templates by their rows, but those of failures to acquire.
 
-        `known`: minutiae of some rows, as :func:`kept_minutiae` makes them; those of other rows are
-        found in the templates. Raises BadInput if one is damaged.
+        `minutiae`: of some rows, as :func:`kept_minutiae` makes them; those of other rows are found
+        in the templates, and added. Raises BadInput if one is damaged.
         """
-        known = known or {}
         rows = sorted(row for row, template in templates.items() if template)
-        self.minutiae = {row: known[row] for row in rows if _is_sound(known.get(row, b""))}
-        missing = [row for row in rows if row not in self.minutiae]
+        missing = [row for row in rows if not _is_sound(minutiae.get(row, b""))]
 
         def found(row: int) -> bytes:
             return kept_minutiae(unpacked(gallery, row, templates[row]))
 
-        for number, (row, minutiae) in enumerate(zip(missing, each(found, missing), strict=True)):
+        for number, (row, own) in enumerate(zip(missing, each(found, missing), strict=True)):
             progress("finding minutiae", number / len(missing))
-            self.minutiae[row] = minutiae
-        counts = {row: len(self.minutiae[row]) // _ENTRY.itemsize for row in rows}
+            minutiae[row] = own
+        counts = {row: len(minutiae[row]) // _ENTRY.itemsize for row in rows}
         self.others = [row for row, count in counts.items() if not count]
         """Rows that hold too few minutiae to be searched."""
         self.rows = np.array([row for row, count in counts.items() if count], dtype=np.int64)
         self.count = np.array([count for count in counts.values() if count], dtype=np.int64)
         self.first = np.cumsum(self.count) - self.count
-        kept = np.frombuffer(b"".join(self.minutiae[row][1:] for row in rows), _ENTRY)
+        kept = np.frombuffer(b"".join(minutiae[row][1:] for row in rows), _ENTRY)
         # whatever a damaged file holds, these are numbers of the size of a print's
         self.x, self.y, self.turn = (
             np.clip(np.nan_to_num(kept[name]), -_FARTHEST_MM, _FARTHEST_MM)
             for name in ("x", "y", "turn")
         )
-        keys = kept["keys"].T & np.uint16((1 << _BITS) - 1)
         # left, right, lower and upper end of each capture's places
         self.boxes = np.stack(
             [
@@ -133,9 +129,12 @@ class MinutiaIndex:
         self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * _ROTATIONS)
         self.code += _steps(self.turn) + _ROTATIONS
         # of each table the minutiae in the order of their keys, and where those of a key end
-        self.lists = np.stack([np.argsort(table, kind="stable").astype(np.int32) for table in keys])
-        sizes = [np.bincount(table, minlength=1 << _BITS) for table in keys]
-        self.ends = np.pad(np.cumsum(sizes, axis=1), ((0, 0), (1, 0)))
+        self.lists = np.empty((_TABLES, len(kept)), dtype=np.int32)
+        self.ends = np.zeros((_TABLES, (1 << _BITS) + 1), dtype=np.int64)
+        for order, ends, column in zip(self.lists, self.ends, kept["keys"].T, strict=True):
+            keys = column & np.uint16((1 << _BITS) - 1)
+            order[:] = np.argsort(keys, kind="stable")
+            ends[1:] = np.bincount(keys, minlength=1 << _BITS).cumsum()
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -312,15 +311,13 @@ def kept_minutiae(template: Template) -> bytes:
 def minutiae_of(payload: bytes) -> bytes:
     """:func:`kept_minutiae` of a stored payload; empty where it is a failure to acquire, holds
     minutiae alone, or cannot be read."""
-    if holds_minutiae(payload):
-        return b""
     try:
         return kept_minutiae(unpack(payload))
     except BadInput:
         return b""
 
 
-def _is_sound(minutiae: bytes) -> bool:
+def _is_sound(minutiae: bytes | memoryview) -> bool:
     """Whether the bytes are of this version and hold a whole number of minutiae, not too many."""
     return (
         minutiae[:1] == _VERSION
@@ -371,9 +368,10 @@ _cores = threading.Lock()
 
 
 def each(work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
-    """Do it with each, by a thread for each core unless another request has those; results in
-    order."""
-    if not _cores.acquire(blocking=False):
+    """Do it with each; of many by a thread for each core, unless another request has those;
+    results in order."""
+    # threads for sixteen comparisons cost a fifth of their processor time
+    if len(items) <= 16 or not _cores.acquire(blocking=False):
         yield from map(work, items)
         return
     try:

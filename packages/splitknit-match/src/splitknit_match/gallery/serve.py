@@ -33,8 +33,7 @@ from splitknit_match.gallery.file import MAX_NAME, Unavailable
 from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.matching.inputs import Pixels
 from splitknit_match.matching.match import make_template
-from splitknit_match.prints.from_file import MAX_PPI, MIN_PPI, minutiae_of, pressed_print
-from splitknit_match.prints.make import enhance, measured
+from splitknit_match.prints.from_file import MAX_PPI, MIN_PPI, minutiae_of
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.records.pictures import PrintFile
 from splitknit_match.records.print_formats import decode_prints
@@ -72,7 +71,7 @@ ACTS: dict[str, tuple[str, dict[str, tuple[type, str]], tuple[str, ...]]] = {
         {"person": (str, "whose"), "fmr": (float, "false match rate"), **_FINGER},
         ("person",),
     ),
-    "quality": ("How good a print is, and its template", _FINGER, ()),
+    "quality": ("How probably a print will match, and its template", _FINGER, ()),
     "list": ("List who is in the gallery", {"person": (str, "of this person only")}, ()),
     "remove": (
         "Remove a person, a finger or a session for good",
@@ -383,24 +382,12 @@ def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
     if act.name == "enroll":
         person, which = fields.pop("person"), fields.pop("finger")
         enrolment = gallery.enroll(finger, person, which, put_down=act.written, **fields)
-        return {
-            "enrolled": known_json(enrolment.enrolled),
-            "alike": known_json(enrolment.alike),
-            "findings": known_json(enrolment.findings),
-        }
+        made = "enrolled", "alike", "findings"
+        return {name: known_json(getattr(enrolment, name)) for name in made}
     if act.name == "quality":
         result = make_template(finger)
-        quality = None
-        if isinstance(finger, Pixels) and result.a.acquired:
-            printed = pressed_print(PrintFile(finger.image, finger.resolution_ppi, {}))
-            quality = round(measured(printed, enhance(printed)).score)
-        template = base64.b64encode(result.payload).decode("ascii")
-        return {
-            "acquired": result.a.acquired,
-            "area_mm2": result.a.area_mm2,
-            "quality": quality,
-            "template": template,
-        }
+        facts = {name: getattr(result.a, name) for name in ("acquired", "area_mm2", "chance")}
+        return {**facts, "template": base64.b64encode(result.payload).decode("ascii")}
     return dict(known_json(gallery.identify(finger, **fields))) | {"gallery": gallery.path.name}
 
 

@@ -114,19 +114,18 @@ def identify(
     """
     from splitknit_match.gallery.gallery import Gallery
 
-    with Gallery(gallery, key) as opened:
-        return opened.identify(
-            probe,
-            top=top,
-            person=person,
-            finger=finger,
-            fmr=fmr,
-            merge=merge,
-            resolution_ppi=resolution_ppi,
-            ridges=ridges,
-            preset=preset,
-            progress=progress,
-        )
+    return Gallery(gallery, key).identify(
+        probe,
+        top=top,
+        person=person,
+        finger=finger,
+        fmr=fmr,
+        merge=merge,
+        resolution_ppi=resolution_ppi,
+        ridges=ridges,
+        preset=preset,
+        progress=progress,
+    )
 
 
 @checked
@@ -259,8 +258,7 @@ def gallery_list(
     from splitknit_match.gallery.file import check_person, session_order
 
     name = None if person is None else check_person(person)
-    with _opened(gallery, key_file) as opened:
-        entries = opened.entries(name)
+    entries = _opened(gallery, key_file).entries(name)
     require(name is None or entries, f"'{gallery}' holds nothing of person '{name}'.")
     entries.sort(key=lambda entry: (entry.person, entry.finger, session_order(entry.session)))
     lines = [f"{'person':24} {'finger':13} {'session':8} {'from':9} skin"]
@@ -406,8 +404,7 @@ def gallery_export(
     """
     from splitknit_match.gallery.folder import export_gallery
 
-    with _opened(gallery, key_file) as opened:
-        facts = export_gallery(opened, Path(out), person=person)
+    facts = export_gallery(_opened(gallery, key_file), Path(out), person=person)
     line = f"Wrote {count(facts['captures'], 'template')} and gallery.csv to {facts['out']}."
     words = "they are personal data, and they are not encrypted there."
     return _reported(gallery, key_file, facts, (line,), (Finding("not-encrypted", words),))
@@ -444,8 +441,7 @@ def gallery_import(
     """
     from splitknit_match.gallery.folder import import_gallery
 
-    with _opened(gallery, key_file) as opened:
-        facts = import_gallery(opened, Path(folder), replaces=replace)
+    facts = import_gallery(_opened(gallery, key_file), Path(folder), replaces=replace)
     known = facts["found"] - facts["new"]
     came = f"{facts['new']} captures came in, {known} were there already"
     return _reported(gallery, key_file, facts, (f"{came}; {facts['captures']} are in it now.",))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.checks import check_image
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 # Codes of local binary patterns are bytes: bit k is set where the neighbour at the angle 2 pi k /
 # 8, counter-clockwise from the right, is at least as large as the pixel itself.
@@ -103,18 +103,13 @@ _CELL_PX = 64.0
 """Side of a cell at 75.7 px/mm. Source: thesis."""
 
 
-def cell_px(px_per_mm: float) -> int:
-    """Side of a cell in pixels of an image."""
-    return max(4, round(_CELL_PX * px_per_mm / REFERENCE_PX_PER_MM))
-
-
-def cells(image: FloatArray, px_per_mm: float) -> tuple[int, int, int]:
-    """Side of a cell, and rows and columns of whole cells of an image; BadInput if it holds
-    none."""
-    cell = cell_px(px_per_mm)
+def cells(
+    image: FloatArray | BoolArray, px_per_mm: float, side_px: float = _CELL_PX
+) -> tuple[int, int, int]:
+    """Side of a cell (`side_px` at 75.7 px/mm), and rows and columns of whole cells of an image;
+    BadInput if it holds none."""
+    cell = max(4, round(side_px * px_per_mm / REFERENCE_PX_PER_MM))
     rows, columns = (side // cell for side in image.shape)
-    require(
-        rows > 0 and columns > 0,
-        f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.",
-    )
+    fault = f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels."
+    require(rows > 0 and columns > 0, fault)
     return cell, rows, columns

@@ -43,6 +43,7 @@ from splitknit_match.matching.ridge import (
     refined,
     ridge_match,
     scored,
+    turn_of,
 )
 from splitknit_match.matching.template import Template, scaled
 from splitknit_match.prints.minutiae_record import pack_minutiae
@@ -101,7 +102,7 @@ def with_fusion(templates: Iterable[Template]) -> tuple[bool, tuple[Finding, ...
 SMALL_MM2 = 100.0
 """A print that shows less is small: tried in every pose, and rated by what overlaps."""
 SURE = 9.0
-"""Support of an alignment by minutiae from which ridges propose none: 429 of 548 matching pairs of
+"""Support of an alignment by minutiae from which ridges propose none: 429 of 549 matching pairs of
 real prints have it, none of the 14,000 pairs of other fingers that are most similar by minutiae.
 Chosen on: real prints (validation/gallery/index.py)."""
 _FEW = 9.0
@@ -117,7 +118,7 @@ def fused_match(
 
     `a`, `b`: with minutiae, as :func:`splitknit_match.matching.inputs.print_template` makes them;
     `quick`: ridges propose no alignment, and what minutiae and ridges hardly confirm is not looked
-    at closely.
+    at closely; nothing else where the support by minutiae is :data:`SURE`.
     """
     a, b = prepared(a).printed, prepared(b).printed
     areas_mm2 = a.template.area_mm2, b.template.area_mm2
@@ -177,14 +178,12 @@ def fused_photo(
     photo, fixed = ((a, b), (b, a))[number]
     log_scale = _log_frequency(photo.template) - _log_frequency(fixed.template)
     middle = math.exp(min(max(log_scale, -_MAX_LOG_SCALE), _MAX_LOG_SCALE))
-
-    def match_at(scale: float) -> _FusedMatch:
-        larger = Prepared(scaled(photo.template, scale))
-        return fused_match(*((fixed, larger) if number else (larger, fixed)), quick=quick)
-
-    tried = [(match_at(middle * scale), middle * scale) for scale in _SCALES]
-    match, scale = max(tried, key=lambda attempt: attempt[0].similarity)
-    return match, scale, number
+    tried = []
+    for scale in _SCALES:
+        larger = Prepared(scaled(photo.template, middle * scale))
+        pair = (fixed, larger) if number else (larger, fixed)
+        tried.append((fused_match(*pair, quick=quick), middle * scale, number))
+    return max(tried, key=lambda attempt: attempt[0].similarity)
 
 
 _ONE_LOG_SCALE = 0.06
@@ -297,15 +296,17 @@ def _best_alignment(
         count = _agreeing_minutiae(a, b, b.first, affine, bend)[0] if drift else 0.0
         return agreement.evidence + _PER_MINUTIA * count, agreement
 
-    if quick and drift:  # where minutiae propose nothing, one lies straight on the other
+    sure = bool(pairings) and pairings[0].support >= SURE
+    quick = quick and drift and not sure
+    if quick:  # where minutiae propose nothing, one lies straight on the other
         pairings = pairings[:1] or [Pairing(0.0, 0j, 0.0)]
     starts = [pairing.affine(a.band, b.band) for pairing in pairings]
-    if quick and drift:
+    if quick:
         evidence, agreement = tried(starts[0])
         if evidence < _MIN_EVIDENCE:
             ridge = scored(a, b, b.first, agreement)
             return _Alignment(b.first, starts[0], None, agreement.mean, ridge)
-    elif not starts or pairings[0].support < SURE:
+    elif not sure:
         by_ridges_alone = likely_alignments(a.views, b.views)
         starts = [by_ridges_alone[0], *starts] if starts else by_ridges_alone
     laid = []
@@ -368,7 +369,7 @@ def _bends(a: Prepared, b: Prepared, affine: Affine) -> list[FloatArray]:
             *(grid.every_centre for grid in grids),
         )
     )
-    turn = a.cylinders.turn + _angle(affine)
+    turn = a.cylinders.turn + turn_of(affine)
     shifts = drifted((in_b, turn), (own, b.cylinders.turn), centres)
     return [
         (shift / pitch_mm).astype(np.float32).reshape(*grid.grid, 2)
@@ -381,11 +382,6 @@ def _laid(a: Prepared, affine: Affine) -> Positions:
     assert a.cylinders is not None
     place = a.pixels(a.cylinders.place) - affine[:, 2]
     return np.asarray(place @ np.linalg.inv(affine[:, :2]).T)
-
-
-def _angle(affine: Affine) -> float:
-    """By which A is turned, counter-clockwise."""
-    return math.atan2(affine[1, 0] - affine[0, 1], affine[0, 0] + affine[1, 1])
 
 
 def _order(side: Prepared) -> tuple[bytes, bytes]:
@@ -406,7 +402,7 @@ def _agreeing_minutiae(
     offset_mm = (in_a - (np.array(a.template.valid.shape[::-1]) - 1) / 2) * a.template.pitch_mm
     place = (offset_mm[:, 0] - 1j * offset_mm[:, 1])[shown_by_a]
     count = agreeing(
-        (place, (b.cylinders.turn - _angle(affine))[shown_by_a]),
+        (place, (b.cylinders.turn - turn_of(affine))[shown_by_a]),
         (a.cylinders.place, a.cylinders.turn),
     )
     return count, math.sqrt(float(shown_by_a.sum()) * float(shown_by_b.sum()))

@@ -377,6 +377,7 @@ def compared_side(side: Side) -> ComparedSide:
         template.area_mm2,
         not template.empty,
         quality=side.quality,
+        chance=template.chance,
     )
 
 

@@ -132,10 +132,9 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
 
 def on_ridges(valid: BoolArray, place: FloatArray) -> BoolArray:
     """(...) whether columns and rows (..., 2) lie on a template's ridges."""
-    rows, columns = (
-        np.clip(np.rint(place[..., 1 - k]), -1, valid.shape[k]).astype(np.int64) + 1 for k in (0, 1)
-    )
-    return np.pad(valid, 1)[rows, columns]
+    columns, rows = np.moveaxis(np.rint(place).astype(np.int64), -1, 0)
+    inside = (rows >= 0) & (columns >= 0) & (rows < valid.shape[0]) & (columns < valid.shape[1])
+    return np.asarray(valid[rows * inside, columns * inside] & inside)
 
 
 _MIN_FIT = 0.2  # pairs that fit the best one less do not go with it

@@ -37,6 +37,8 @@ class ComparedSide:
     """How many were compared, by methods of minutiae."""
     quality: float | None = None
     """Of a photograph, 0 to 100: percent of the finger with clear ridges."""
+    chance: float | None = None
+    """Of a print: that another impression of the finger, about as large, matches it, 0 to 1."""
 
 
 @dataclass(frozen=True, slots=True)

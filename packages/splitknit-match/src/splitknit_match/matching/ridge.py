@@ -8,6 +8,7 @@ B with A gives.
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -156,12 +157,14 @@ def ridge_match(a: Template | Prepared, b: Template | Prepared) -> RidgeMatch:
 
 def placed(result: RidgeMatch, affine: Affine, a: Prepared, b: Prepared) -> RidgeMatch:
     """`result` with how A lies on B; `affine`: position in B to position in A."""
-    angle = float(np.arctan2(affine[1, 0] - affine[0, 1], affine[0, 0] + affine[1, 1]))
     centre_a, centre_b = ((np.array(side.template.valid.shape[::-1]) - 1) / 2 for side in (a, b))
     seen_in_b = np.linalg.solve(affine[:, :2], centre_a - affine[:, 2])
     right, down = (seen_in_b - centre_b) * a.template.pitch_mm
     return replace(
-        result, rotation_deg=float(np.rad2deg(angle)), right_mm=float(right), up_mm=float(-down)
+        result,
+        rotation_deg=float(np.rad2deg(turn_of(affine))),
+        right_mm=float(right),
+        up_mm=float(-down),
     )
 
 
@@ -171,6 +174,11 @@ def lay(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
     tried = [(start, compare_patches(b.first, a.band, start)) for start in starts]
     affine = refined(a, b, *max(tried, key=lambda start: start[1].evidence))
     return scored(a, b, b.patches, compare_patches(b.patches, a.band, affine)), affine
+
+
+def turn_of(affine: Affine) -> float:
+    """By which A is turned, counter-clockwise, radians."""
+    return math.atan2(affine[1, 0] - affine[0, 1], affine[0, 0] + affine[1, 1])
 
 
 _REFINEMENTS = 2

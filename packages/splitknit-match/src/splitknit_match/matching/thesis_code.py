@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.matching.features import REFERENCE_PX_PER_MM, uniform_bins
+from splitknit_match.matching.features import REFERENCE_PX_PER_MM, cells, uniform_bins
 from splitknit_match.matching.thesis import (
     ATTRIBUTES,
     FingerImages,
@@ -97,9 +97,7 @@ def code_match(database: CodeSide, query: CodeSide) -> ImageMatch:
     check_scales(database.px_per_mm, query.px_per_mm)
     missing = set(database.labels) ^ set(query.labels)
     require(not missing, f"one finger has no channel '{min(missing, default='')}'.")
-    cell = max(4, round(CELL_PX * scale))
-    rows, columns = (side // cell for side in database.mask.shape)
-    require(rows > 0 and columns > 0, f"the finger is smaller than a cell of {cell} pixels.")
+    cell, rows, columns = cells(database.mask, database.px_per_mm, CELL_PX)
     tip = tip_column(database.mask) - tip_column(query.mask)
     reach, step = round(REACH_PX * scale), max(1, round(STEP_PX * scale))
     shifts = range(tip - reach, tip + reach + 1, step)
