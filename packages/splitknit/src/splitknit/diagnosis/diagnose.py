@@ -13,7 +13,7 @@ from splitknit.diagnosis.brightness import with_encoding, with_equal_lights
 from splitknit.diagnosis.frames import HIGH_RESIDUAL, TURNED, LightFit, doubt_of_lights, fit_lights
 from splitknit.diagnosis.lights import findings_on_places, with_places_by_ground
 from splitknit.diagnosis.masks import findings_on_mask, findings_on_outline
-from splitknit.diagnosis.photographs import compared_pixels, faulty_photograph, left_out
+from splitknit.diagnosis.photographs import compared_pixels, left_out
 from splitknit.diagnosis.relief import findings_on_relief
 from splitknit.diagnosis.response import ResponseDoubt, doubt_of_response
 from splitknit.diagnosis.samples import sampled_light
@@ -184,8 +184,4 @@ def _judged_lights(
     )
     if in_order and response is not None and (response.sure or not worse):  # it explains the rest
         return facts, [response.finding] if white and not response.sure else []
-    # photographs are compared with each other under distant lights alone, which leave less than
-    # this unexplained; LEDs beside the finger leave more
-    if doubt is None and observation.material == "skin" and fit.residual < 0.15:
-        doubt = faulty_photograph(band, finger)
     return facts, [] if doubt is None else [doubt.of_band(name)]

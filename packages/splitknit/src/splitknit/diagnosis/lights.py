@@ -19,6 +19,7 @@ from splitknit.imaging.view import View, view_of
 from splitknit.integration.poisson import poisson
 from splitknit.model import Array, BoolArray, FloatArray, Led, Rig
 from splitknit.observation.observe import Observation
+from splitknit.photometric.equations import length, shading, solve, unit_normals
 from splitknit.photometric.places import GROUND_POINTS, places_by_ground, plain_ground
 from splitknit.skin.light import fresnel_transmission
 
@@ -147,8 +148,8 @@ def fitted_places(  # noqa: PLR0917
     slopes = np.zeros((2, *mask.shape), dtype=np.float32)
     for _ in range(2):
         _, _, normals = _solved(stack, rig, view, height_mm, mask, np.zeros(3))
-        nz[mask] = np.maximum(normals[:, 2], 0.15)
-        slopes[:, mask] = -normals[:, :2].T / nz[mask]
+        nz[mask] = np.maximum(normals[2], 0.15)
+        slopes[:, mask] = -normals[:2] / nz[mask]
         height_mm = np.nan_to_num(poisson(slopes[0], slopes[1], mask, nz)) * pitch_mm
     low, high = _STEEPEST_NZ
     chosen = mask & (depth_mm > 1.0) & (nz > low)
@@ -159,7 +160,7 @@ def fitted_places(  # noqa: PLR0917
 
     def residuals(unknowns: Array) -> Array:
         residual, albedo, n = _solved(stack, rig, view, height_mm, chosen, unknowns)
-        columns = np.column_stack([weight, (1 - n[:, 2]) * weight])
+        columns = np.column_stack([weight, (1 - n[2]) * weight])
         fall = np.linalg.lstsq(columns, np.log(albedo) * weight, rcond=None)[0][1]
         return np.concatenate(
             [
@@ -196,7 +197,7 @@ def _solved(  # noqa: PLR0917
     where: BoolArray,
     unknowns: Array,
 ) -> tuple[Array, Array, Array]:
-    """Relative residual (L, n), albedo (n,) and normals (n, 3) at the pixels `where`, under moved
+    """Relative residual (L, n), albedo (n,) and normals (3, n) at the pixels `where`, under moved
     lights."""
     height = float(np.exp(unknowns[0]))
 
@@ -211,20 +212,15 @@ def _solved(  # noqa: PLR0917
     field = light_vectors_at(replace(rig, leds=tuple(map(moved, rig.leds))), *view.points(surface))
     vectors = view.turned(field)[:, :, where].astype(np.float64)
     images = stack[:, where].astype(np.float64)
-    length = np.sqrt((vectors * vectors).sum(axis=1))
-    entering = np.ones_like(length)
+    lights = vectors
     for _ in range(3):
-        lights = vectors * entering[:, None]
-        moments = np.einsum("kan,kbn->nab", lights, lights)
-        g = np.linalg.solve(moments, np.einsum("kan,kn->na", lights, images)[..., None])[..., 0]
-        albedo = np.maximum(np.sqrt((g * g).sum(axis=1)), 1e-12)
-        normals = g / albedo[:, None]
-        cosine = np.maximum(np.einsum("kan,na->kn", vectors, normals) / length, 0.05)
+        g = solve(images, lights, None)
+        normals, albedo = unit_normals(g)
+        cosine = np.maximum(shading(normals, vectors) / length(np.moveaxis(vectors, 1, 0)), 0.05)
         entering = fresnel_transmission(cosine) * cosine**_DARKENING_EXPONENT
-    residual = (images - np.einsum("kan,na->kn", lights, g)) / np.maximum(
-        images.mean(axis=0), 1e-12
-    )
-    return residual, albedo, normals
+        residual = (images - shading(g, lights)) / np.maximum(images.mean(axis=0), 1e-12)
+        lights = vectors * entering[:, None]
+    return residual, np.maximum(albedo, 1e-12), normals
 
 
 def findings_on_places(observation: Observation, finger: Finger) -> list[Finding]:

@@ -17,15 +17,13 @@ import cv2
 import numpy as np
 
 from splitknit.checks import check_lights
-from splitknit.diagnosis.frames import SPOILT_DEG
 from splitknit.diagnosis.samples import (
     LEAST_PHOTOGRAPHS,
     checked,
     median_angle_deg,
-    sampled_light,
 )
 from splitknit.errors import BadInput
-from splitknit.findings import Finding, Severity
+from splitknit.findings import Finding
 from splitknit.finger.locate import Finger
 from splitknit.imaging.pixels import bin_mean
 from splitknit.imaging.robust import cauchy
@@ -376,21 +374,6 @@ def left_out(
         notes.append(Finding("overexposed-surface", OVEREXPOSED.format(100 * clipped.mean())))
     out = {fault.photograph for fault in faults if fault.kind != "overexposed"}
     return band.of_images([k for k in range(len(stack)) if k not in out]) if out else band, notes
-
-
-def faulty_photograph(band: Light, finger: Finger) -> Finding | None:
-    """The photograph of skin that fits the others least, if it turns the surface."""
-    stack, vectors, pixels = sampled_light(band)
-    faults = faulty_photographs(stack, vectors, finger.wider[pixels], band.clips_at)
-    # highlights are overexposed, and no method takes them for skin; other faults are noted where
-    # they turn the surface by more than half a degree
-    bad = [fault for fault in faults if fault.kind != "overexposed" and fault.effect_deg > 0.5]
-    if not bad:
-        return None
-    fault = max(bad, key=lambda each: each.effect_deg)
-    effect = "it turns the surface by {:.1f} deg (median); capture it again"
-    severity = Severity.SPOILS if fault.effect_deg > SPOILT_DEG else Severity.DOUBT
-    return replace(_fault_finding(band, fault, pixels[0].step, effect), severity=severity)
 
 
 def _fault_finding(band: Light, fault: PhotographFault, binning: int, effect: str) -> Finding:

@@ -12,7 +12,6 @@ not in proportion to the light also flatten or steepen the whole surface, as the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -44,15 +43,11 @@ WHITE_BALANCE = (
     " 1 %: the camera seems to have balanced white anew for each, which spoils shape and ridges;"
     " fix its white balance and exposure."
 )
-ENCODING = (
-    "the photographs do not fit their lights as they are declared, {} (`encoding`), but as {}:"
-    " check how they were stored (a tone curve or local contrast of the camera looks alike);"
-    " heights are wrong otherwise."
-)
 TONE = (
     "the photographs are not in proportion to the light, value = light^{:.2f}: a gamma, tone curve,"
-    " night mode or local contrast of the camera, or haze or light of the room in all images;"
-    " heights are wrong; store RAW or linear images, and add an ambient one."
+    " night mode or local contrast of the camera, haze or light of the room in all images, or a"
+    " wrong `encoding` (then near 0.5 or 2); heights are wrong; store RAW or linear images, and add"
+    " an ambient one."
 )
 FLAT = (
     "the finger comes out {:.2f} times as high as it is half wide (0.6 to 1 is usual): local"
@@ -91,11 +86,8 @@ class _Response(NamedTuple):
     """(h, w) height in mm on the pixels that are looked at."""
 
 
-def doubt_of_response(
-    observation: Observation, finger: Finger, encodings: bool = True
-) -> ResponseDoubt | None:
-    """What is wrong with a camera's response to light, the surest; `encodings`: whether to try
-    another encoding."""
+def doubt_of_response(observation: Observation, finger: Finger) -> ResponseDoubt | None:
+    """What is wrong with a camera's response to light, the surest."""
     # pixels of the coarse images' longer side, at least
     every = max(1, max(observation.shape) // 300)
     inside = np.zeros(observation.shape, dtype=np.bool_)
@@ -120,14 +112,7 @@ def doubt_of_response(
         responses.append(response)
     if not responses:
         return None
-    doubt = _doubt_of_tone(responses, encodings)
-    if doubt is not None and encodings:
-        encoding = observation.other_encoding
-        if doubt_of_response(observation.as_if_stored(encoding), finger, encodings=False) is None:
-            words = ENCODING.format(observation.encoding, encoding)
-            return doubt._replace(
-                finding=replace(doubt.finding, code="other-encoding", message=words)
-            )
+    doubt = _doubt_of_tone(responses)
     if doubt is None and "radiometry" in observation.rig.provenance:
         for response in responses:
             drift = drifted_light(response.gains, response.directions)
@@ -212,12 +197,11 @@ to 0.75 on path-traced ones, 0.34 to 0.45 with local contrast. Chosen on: simula
 and path-traced ones). Range: 0.45 to 0.61."""
 
 
-def _doubt_of_tone(responses: Sequence[_Response], encodings: bool) -> ResponseDoubt | None:
+def _doubt_of_tone(responses: Sequence[_Response]) -> ResponseDoubt | None:
     """What contradicts a linear response: the lights' stated brightness, else shading, else the
     finger's height."""
     tone, sure = tone_exponent([response[:3] for response in responses])
-    # another encoding must fit well
-    if abs(tone - 1) > _TONE_DOUBTED and (abs(sure) > _TONE_SURE or not encodings):
+    if abs(tone - 1) > _TONE_DOUBTED and abs(sure) > _TONE_SURE:
         # departure of the exponent from one that spoils the surface
         severity = Severity.SPOILS if abs(tone - 1) > 0.1 else Severity.DOUBT
         return ResponseDoubt(Finding("tone-curve", TONE.format(tone), severity))
