@@ -9,13 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from splitknit.diagnosis.samples import LEAST_PHOTOGRAPHS, median_angle_deg
+from splitknit.diagnosis.samples import LEAST_PHOTOGRAPHS, in_blocks, median_angle_deg
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
-from splitknit.imaging.light_field import light_vectors_at
-from splitknit.imaging.pixels import bin_mean
 from splitknit.imaging.robust import deviation
-from splitknit.imaging.view import view_of
 from splitknit.model import Array, FloatArray
 from splitknit.observation.light import Light
 from splitknit.observation.observe import Observation
@@ -88,12 +85,11 @@ def sampled(band: Light, finger: Finger) -> tuple[FloatArray, FloatArray]:
     """Light (1 + C, L, n) of some places of an object, grey before its channels, zero where it is
     clipped; and the lights (L, 3, n) there, in the pixels' own frames."""
     every = max(1, math.ceil(math.sqrt(finger.inside.sum() / LIMITS.places)))
-    inside = bin_mean(finger.inside.astype(np.float32), every) > 0.99
-    values = band.at(every, finger.window).grey_and_stack
+    light, inside, _ = blocks = in_blocks(band, finger.wider, finger.window, every)
+    values = light.grey_and_stack
     values[:, values[0] >= band.clips_at[:, None, None]] = 0.0
-    view = view_of(band.built.camera, *finger.window, binning=every, along_rays=True)
-    x, y, z = (axis[inside] for axis in view.points(np.zeros(inside.shape, dtype=np.float32)))
-    return values[..., inside], view.turned(light_vectors_at(band.rig, x, y, z), where=inside)
+    flat = np.zeros(inside.shape, dtype=np.float32)
+    return values[..., inside], blocks.lights(flat)[..., inside]
 
 
 def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any], list[Finding]]:

@@ -11,11 +11,13 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from splitknit.diagnosis.samples import SKIN_MM, in_blocks
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
+from splitknit.finger.regions import depth_inside
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.pixels import bin_mean
-from splitknit.imaging.view import View, view_of
+from splitknit.imaging.view import View
 from splitknit.integration.poisson import poisson
 from splitknit.model import Array, BoolArray, FloatArray, Led, Rig
 from splitknit.observation.observe import Observation
@@ -207,8 +209,7 @@ def _solved(  # noqa: PLR0917
         place = (x + unknowns[1], y + unknowns[2], z * height)
         return replace(led, position_mm=place, also=tuple(moved(each) for each in led.also))
 
-    # assumed mean height of the skin above the finger plane
-    surface = (height_mm * height + 1.0).astype(np.float32)  # slopes go with the height
+    surface = (height_mm * height + SKIN_MM).astype(np.float32)  # slopes go with the height
     field = light_vectors_at(replace(rig, leds=tuple(map(moved, rig.leds))), *view.points(surface))
     vectors = view.turned(field)[:, :, where].astype(np.float64)
     images = stack[:, where].astype(np.float64)
@@ -228,27 +229,17 @@ def findings_on_places(observation: Observation, finger: Finger) -> list[Finding
     white, camera = observation.white, observation.rig.camera
     if white.colours or any(led.position_mm is None for led in observation.rig.leds):
         return []
-    # distance of the pixels that the lights' places are fitted to
-    every = max(1, round(0.1 * camera.px_per_mm))
     # side of the blocks of pixels in which the lights' places are looked for: ridges are smaller
-    binning = max(1, round(0.8 * camera.px_per_mm / every))
-    images = bin_mean(white.sampled(every).stack, binning)
-    inside = bin_mean(finger.mask[::every, ::every].astype(np.float32), binning) > 0.99
-    rows, columns = (n // (every * binning) for n in observation.shape)
-    images, inside = images[..., :rows, :columns], inside[:rows, :columns]
+    blocks = in_blocks(white, finger.mask, finger.window, max(1, round(0.8 * camera.px_per_mm)))
+    inside = blocks.inside
     if not inside.any():
         return []
-    stack = (
-        images / np.maximum(images[..., inside].mean(axis=(1, 2)), 1e-9)[:, None, None, None]
-    ).sum(axis=0)
-    pitch_mm = every * binning * camera.pitch_mm
-    depth_mm = (
-        cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
-        * pitch_mm
-    )
-    view = view_of(camera, binning=every * binning, along_rays=True)
+    images = blocks.light.stack
+    images /= np.maximum(images[..., inside].mean(axis=(1, 2)), 1e-9)[:, None, None, None]
+    pitch_mm = blocks.light.pitch_mm
+    depth_mm = depth_inside(inside) * pitch_mm
     rig = white.rig
-    places = fitted_places(stack, rig, inside, depth_mm, view, pitch_mm)
+    places = fitted_places(images.sum(axis=0), rig, inside, depth_mm, blocks.view, pitch_mm)
     doubt = places and doubt_of_places(places, rig)
     return [doubt] if doubt else []
 

@@ -20,12 +20,12 @@ from splitknit.checks import check_lights
 from splitknit.diagnosis.samples import (
     LEAST_PHOTOGRAPHS,
     checked,
+    in_blocks,
     median_angle_deg,
 )
 from splitknit.errors import BadInput
 from splitknit.findings import Finding
 from splitknit.finger.locate import Finger
-from splitknit.imaging.pixels import bin_mean
 from splitknit.imaging.robust import cauchy
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.light import Light
@@ -346,23 +346,16 @@ def _smooth(image: FloatArray) -> FloatArray:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 1.0))
 
 
-def compared_pixels(band: Light, finger: Finger) -> tuple[int, BoolArray] | None:
-    """Reduction of photographs before they are compared, and the object's mask at that scale; None
-    where they are not comparable."""
+def left_out(band: Light, finger: Finger) -> tuple[Light, list[Finding]]:
+    """A band of an opaque object without the photographs that do not fit the others, and notes on
+    them."""
     values = band.photographs * finger.inside.size
     # values of all photographs that are compared with each other, at most; larger ones are binned
     binning = max(1, int(np.ceil(np.sqrt(values / 4_000_000))))
-    inside = bin_mean(finger.inside.astype(np.float32), binning) > 0.99
-    comparable = len(band.lights) == band.photographs and not band.polarised
-    return (binning, inside) if comparable and inside.any() else None
-
-
-def left_out(
-    band: Light, finger: Finger, binning: int, inside: BoolArray
-) -> tuple[Light, list[Finding]]:
-    """A band of an opaque object without the photographs that do not fit the others, and notes on
-    them."""
-    stack = band.at(binning, finger.window).grey
+    light, inside, _ = in_blocks(band, finger.wider, finger.window, binning)
+    if len(band.lights) != band.photographs or band.polarised or not inside.any():
+        return band, []  # they are not comparable
+    stack = light.grey
     levels = band.clips_at
     lights = band.rig.light_vectors()
     faults = faulty_photographs(stack, lights, inside, levels)

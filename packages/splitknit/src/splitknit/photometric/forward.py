@@ -109,11 +109,16 @@ def hypotheses(images: FloatArray, lights: FloatArray) -> dict[str, Explanation]
     }
 
 
+def unequal(images: FloatArray, lights: FloatArray) -> Explanation:
+    """The hypothesis ``unequal`` of :func:`hypotheses` alone."""
+    pixels, start = _some_pixels(images, lights)
+    return pixels.solved(start, 20, gains=True)
+
+
 def lamp_gains(images: FloatArray, lights: FloatArray) -> FloatArray:
     """Brightness (L,) of each photograph's lamp over what `lights` state, geometric mean one, by
     the hypothesis ``unequal``. Parameters as of :func:`fitted_gloss`."""
-    pixels, start = _some_pixels(images, lights)
-    return np.exp(pixels.solved(start, 20, gains=True).gains)
+    return np.exp(unequal(images, lights).gains)
 
 
 def glossy_fit(images: FloatArray, lights: FloatArray, gloss: Explanation) -> FloatArray:
