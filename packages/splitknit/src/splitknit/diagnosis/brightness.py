@@ -4,6 +4,7 @@ assumed: hypotheses of the forward model."""
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ from splitknit.photometric.forward import (
     Explanation,
     hypotheses,
     matt_misfit,
+    misfits_by_light,
 )
 
 
@@ -60,6 +62,9 @@ class Limits:
     lamps that differ a little."""
     curved: float = 4.0
     """Misfit under a wrong encoding over that under the right one, where it is sure."""
+    other_light: float = 2.0
+    """Misfit of a photograph under its own light over that under another one's, where it is under
+    the other: 3.9 to 105 where it is, up to 1.1 where not (DiLiGenT's bear and ball)."""
     ambient: float = 0.06
     """Light of places that face away from the lamp, over the full light: up to 0.03 on eleven
     matt things, photographed and rendered, 0.10 to 0.22 with light of the room of 15 %."""
@@ -105,9 +110,10 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
         return band, {}, []
     fits = hypotheses(grey, lights)
     facts: dict[str, Any] = {"matt_misfit": round(fits["matt"].misfit, 4)}
-    ambient = _light_everywhere(fits["matt"], grey, lights)
-    if band.flattened or ambient:
-        return band, facts, ambient
+    doubts = _light_everywhere(fits["matt"], grey, lights)
+    doubts += _other_lights(fits["matt"], grey, lights, band.image_names)
+    if band.flattened or doubts:
+        return band, facts, doubts
     equal, unequal = _fitting(fits, "matt", "glossy"), _fitting(fits, "unequal", "both")
     spread = float(unequal.gains.std())
     clear = equal.misfit > LIMITS.better * unequal.misfit
@@ -177,6 +183,26 @@ def _light_everywhere(matt: Explanation, grey: FloatArray, lights: FloatArray) -
         " small; give an image without any lamp (`background`), or darken the room."
     )
     return [Finding("ambient-light", words, Severity.DOUBT)]
+
+
+def _other_lights(
+    matt: Explanation, grey: FloatArray, lights: FloatArray, names: Sequence[str]
+) -> list[Finding]:
+    """A doubt where a photograph fits the light of another one far better than its own."""
+    if matt.misfit > LIMITS.unexplained:
+        return []
+    misfits = misfits_by_light(matt, grey, lights)
+    own = np.diag(misfits)
+    odd = np.flatnonzero(own > LIMITS.other_light * misfits.min(axis=1))
+    if not odd.size:
+        return []
+    files = tuple(names[k] for k in odd)
+    fits = "; ".join(f"{names[k]} that of {names[misfits[k].argmin()]}" for k in odd)
+    words = (
+        f"photographs fit another light than their own: {fits}; check their files, and the order"
+        " and directions of the lights."
+    )
+    return [Finding("light-order", words, Severity.DOUBT, files)]
 
 
 def _unexplained(fits: dict[str, Explanation], equal: Explanation, assumed: bool) -> list[Finding]:

@@ -145,9 +145,7 @@ def _suffix(name: str) -> str:
 def _fit(light: Light, material: str, finger: Finger) -> LightFit:
     """How well a band's photographs fit their lights."""
     stack, vectors, pixels = sampled_light(light)
-    opaque = material == "opaque"
-    fit = fit_lights(stack, vectors, finger.wider[pixels], relief=opaque)
-    return replace(fit, brightness=()) if opaque else fit  # see `with_equal_lights`
+    return fit_lights(stack, vectors, finger.wider[pixels], relief=material == "opaque")
 
 
 def _judged_lights(

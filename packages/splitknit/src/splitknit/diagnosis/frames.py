@@ -154,7 +154,7 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
     in_order = bool((order == own).all())
     gains = np.ones(len(vectors))
     strange = None
-    if in_order:
+    if in_order and not relief:  # of an opaque thing the forward model is asked
         # fewer fit any brightness
         if residual > _NO_RESIDUAL and len(vectors) >= _FEWEST_OF_STRANGE:
             gains = _explained_gains(gram, vectors, residual)
@@ -305,8 +305,7 @@ def _fault_of_lights(  # noqa: PLR0911
             f" {100 * logs.std():.0f} % (most that of {names[most]}, {fit.brightness[most]:.2f}"
             f" of the mean), and {turned}; calibrate their brightness.",
         )
-    # a strange photograph of an object is named where it turns the surface by more
-    if fit.strange is not None and (material == "skin" or fit.turned_deg > 0.5):
+    if fit.strange is not None:
         return Finding(
             "strange-photograph",
             f"{names[fit.strange]} does not belong to the other photographs: {turned}; check that"

@@ -44,8 +44,8 @@ WHITE_BALANCE = (
 TONE = (
     "the photographs are not in proportion to the light, value = light^{:.2f}: a gamma, tone curve,"
     " night mode or local contrast of the camera, haze or light of the room in all images, or a"
-    " wrong `encoding` (then below 0.7 or above 1.5); heights are wrong; store RAW or linear images, and add"
-    " an ambient one."
+    " wrong `encoding` (then below 0.7 or above 1.5); heights are wrong; store RAW or linear"
+    " images, and add an ambient one."
 )
 FLAT = (
     "the finger comes out {:.2f} times as high as it is half wide (0.6 to 1 is usual): local"
