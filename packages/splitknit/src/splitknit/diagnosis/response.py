@@ -25,7 +25,7 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.light import Light
 from splitknit.observation.observe import Observation
 from splitknit.photometric.equations import length
-from splitknit.photometric.forward import lamp_gains, unequal
+from splitknit.photometric.forward import unequal
 
 SWAPPED = (
     "the skin is {:.1f} times as bright in blue as in red, but blood makes it 0.4 to 0.7: the files"
@@ -103,7 +103,8 @@ def doubt_of_response(observation: Observation, finger: Finger) -> Finding | Non
         response = Response(gains, mean / strength[:, None], strength * exposure, band.image_names)
         if (spread := colour_spread(gains)) > _COLOUR_SPREAD:
             odd = int(np.argmax(np.abs(gains - gains.mean(axis=0)).max(axis=0)))
-            sure = colour_spread(np.delete(gains, odd, axis=1)) > _COLOUR_SPREAD
+            without = image_gains(np.delete(light, odd, axis=1), np.delete(towards, odd, axis=0))
+            sure = colour_spread(without) > _COLOUR_SPREAD
             words = WHITE_BALANCE.format(100 * spread)
             return Finding("white-balance", words, Severity.SPOILS if sure else Severity.DOUBT)
         responses.append(response)
@@ -191,7 +192,7 @@ def image_gains(stack: FloatArray, vectors: FloatArray) -> Array:
         Direction to each light times its irradiance, at each pixel (near lights on a coarse surface
         will do).
     """
-    logs = np.log([lamp_gains(light, vectors) for light in stack])
+    logs = np.array([unequal(light, vectors).gains for light in stack])
     return np.asarray(logs @ _beside_tilt(vectors.mean(axis=-1)))
 
 
@@ -240,14 +241,11 @@ def drifted_light(gains: Array, directions: Array) -> tuple[int, float] | None:
     freedom = np.diag(beside)
     explained = rest**2 / freedom
     k = int(np.argmax(explained))
-    change = float(rest[k] / freedom[k])
-    total = float(rest @ rest)
-    error = np.sqrt((total - explained[k]) / max(len(gains) - 4, 1) / freedom[k])
-    # it explains most of all gains alone (gloss, shadows and scattering move several a little), by
-    # three standard errors
-    sure = explained[k] > 0.6 * total and abs(change) > 3.0 * error  # not where gains are NaN
+    change = float(np.exp(rest[k] / freedom[k]))
+    # it explains most of all gains alone: gloss, shadows and scattering move several a little
+    sure = explained[k] > 0.75 * float(rest @ rest)
     # change of a light's brightness from which it has drifted
-    return (k, float(np.exp(change))) if sure and abs(np.expm1(change)) > 0.03 else None
+    return (k, change) if sure and abs(change - 1) > 0.03 else None
 
 
 def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from splitknit.checks import check_lights, check_mask, check_stack
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.pixels import Window, bin_mean
 from splitknit.imaging.view import View, view_of
@@ -67,16 +66,3 @@ def median_angle_deg(normals: FloatArray, changed: FloatArray) -> float:
     """Median angle between unit normals (n, 3)."""
     cosine = np.median((normals * changed).sum(axis=1))
     return float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
-
-
-def checked(
-    stack: Any, lights: Any, mask: Any, ceilings: Any
-) -> tuple[FloatArray, Array, BoolArray, FloatArray]:
-    """Images (L, H, W), lights (L, 3), the object (H, W), and the value from which each image is
-    clipped (L,)."""
-    images = check_stack(stack, least=3)
-    inside = check_mask(mask, (images.shape[1], images.shape[2]))
-    levels = np.broadcast_to(
-        np.float32(np.inf if ceilings is None else ceilings), (len(images),)
-    ).astype(np.float32)
-    return images, check_lights(lights, len(images)), inside, levels

@@ -110,7 +110,7 @@ def hypotheses(images: FloatArray, lights: FloatArray) -> dict[str, Explanation]
 
 
 def unequal(images: FloatArray, lights: FloatArray) -> Explanation:
-    """The hypothesis ``unequal`` of :func:`hypotheses` alone."""
+    """The hypothesis ``unequal`` of :func:`hypotheses` alone: each lamp has any brightness."""
     pixels, start = _some_pixels(images, lights)
     return pixels.solved(start, 20, gains=True)
 
@@ -130,12 +130,6 @@ def misfits_by_light(fit: Explanation, images: FloatArray, lights: FloatArray) -
         off -= np.median(off, axis=1, keepdims=True)
         misfits.append(np.median(np.abs(off), axis=1))
     return np.stack(misfits)
-
-
-def lamp_gains(images: FloatArray, lights: FloatArray) -> FloatArray:
-    """Brightness (L,) of each photograph's lamp over what `lights` state, geometric mean one, by
-    the hypothesis ``unequal``. Parameters as of :func:`fitted_gloss`."""
-    return np.exp(unequal(images, lights).gains)
 
 
 def glossy_fit(images: FloatArray, lights: FloatArray, gloss: Explanation) -> FloatArray:
