@@ -105,7 +105,8 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
     if len(band.lights) <= LEAST_PHOTOGRAPHS:
         return band, {}, []
     rig = band.rig
-    (grey, *colours), lights = sampled(band, finger)
+    values, lights = sampled(band, finger)
+    grey, colours = values[0], values[1:]
     if grey.shape[1] < LIMITS.fewest:
         return band, {}, []
     fits = hypotheses(grey, lights)
@@ -135,16 +136,12 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
     far &= unequal.misfit > LIMITS.sure
     if not rig.intensities_assumed or (far and not asked):
         listed = gains * [led.intensity for led in rig.leds]
-        seem = (
-            f"the lights seem to differ in brightness, {gains.max() / gains.min():.1f}-fold,"
-            f" {effect}: so much is not taken out unasked, and they are taken as equal"
-            if rig.intensities_assumed
-            else "the lights are not as bright as is stated of them: they seem to differ from it by"
-            f" {100 * spread:.0f} %, {effect}"
-        )
+        stated = "taken as equal" if rig.intensities_assumed else "stated"
         words = (
-            f"{seem}; give `brightness` estimate, or as fourth numbers of the list (`intensities`),"
-            f" in its order: {' '.join(f'{each:.3f}' for each in listed / listed.mean())}."
+            f"the lights are not as bright as is {stated}: they seem to differ from it by"
+            f" {100 * spread:.0f} %, {effect}, which was not taken out; give `brightness` estimate,"
+            " or as fourth numbers of the list (`intensities`), in its order:"
+            f" {' '.join(f'{each:.3f}' for each in listed / listed.mean())}."
         )
         doubt = Finding("unequal-lights", words, Severity.DOUBT, effect_deg=turned_deg)
         return band, facts, [doubt]
@@ -234,18 +231,16 @@ def _fitting(fits: dict[str, Explanation], simple: str, free: str) -> Explanatio
     return fits[free] if better else fits[simple]
 
 
-def _of_colours(grey: FloatArray, colours: list[FloatArray]) -> Array:
+def _of_colours(grey: FloatArray, colours: FloatArray) -> Array:
     """(L, C) brightness of each light's colours over its grey."""
-    ratios = np.zeros((len(grey), len(colours)))
-    means = np.array([each.mean() for each in colours])
+    lit = (grey > 0.1 * grey.max(axis=0)) & (colours > 0).all(axis=0)
+    means = colours.mean(axis=(1, 2))
     # below this fraction of the mean, a colour channel is too dark to judge a light's brightness
-    if len(colours) == 3 and (means >= 0.1 * means.mean()).all():
-        lit = (grey > 0.1 * grey.max(axis=0)) & np.all([each > 0 for each in colours], axis=0)
-        for c, each in enumerate(colours):
-            logs = np.log(np.where(lit, each, 1.0)) - np.log(np.where(lit, grey, 1.0))
-            logs -= (logs * lit).sum(axis=0) / np.maximum(lit.sum(axis=0), 1)
-            for k in np.flatnonzero(lit.any(axis=1)):
-                ratios[k, c] = np.median(logs[k, lit[k]])
+    if len(colours) < 3 or (means < 0.1 * means.mean()).any() or not lit.any(axis=1).all():
+        return np.ones((len(grey), len(colours)))
+    logs = np.log(np.where(lit, colours / np.maximum(grey, 1e-12), 1.0))
+    logs -= logs.sum(axis=1, keepdims=True) / np.maximum(lit.sum(axis=0), 1)
+    ratios = np.nanmedian(np.where(lit, logs, np.nan), axis=2).T
     return np.asarray(np.exp(ratios - ratios.mean(axis=0)))
 
 

@@ -283,22 +283,18 @@ def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
         return None
     x, y = places.shift_mm
     shift_mm = float(np.hypot(x, y))
-    stated = np.array([led.position_mm for led in rig.leds], dtype=np.float64)
-    height_mm = float(stated[:, 2].mean())
-    radius_mm = float(np.linalg.norm(stated[:, :2] - stated[:, :2].mean(axis=0), axis=1).mean())
     # the noted height and shift grow with a residual above this
     unsure = max(1.0, places.residual / 0.012)
     factor = abs(np.log(places.height))
     words = []
     if factor > _NOTED_HEIGHT * unsure:
-        up = height_mm * (places.height - 1)
-        wide = radius_mm * (1 / places.height - 1)
         words.append(
-            f"the LEDs seem to be {abs(up):.0f} mm {'higher' if up > 0 else 'lower'} than the rig"
-            f" states, or their ring {abs(wide):.0f} mm {'narrower' if up > 0 else 'wider'} in"
-            f" radius (all heights are then {100 / places.height:.0f} % of the true ones)"
+            f"the LEDs seem to be {places.height:.2f} times as high as the rig states, or their"
+            f" ring {1 / places.height:.2f} times as wide (all heights are then"
+            f" {100 / places.height:.0f} % of the true ones)"
         )
     if shift_mm > _NOTED_SHIFT_MM * unsure:
+        height_mm = np.mean([led.position_mm[2] for led in rig.leds if led.position_mm])
         words.append(
             f"the middle of the LEDs' ring seems to lie {shift_mm:.0f} mm from where the rig states"
             f" (x {x:+.0f}, y {y:+.0f} mm), which tilts the surface by"
