@@ -58,7 +58,9 @@ def test_exchanged_photographs_are_named_by_the_ground() -> None:
     images[[3, 10]] = images[[10, 3]]
     capture, _ = capture_of_arrays(images, directions, mask, PX_PER_MM, np.ones(16))
     findings = splitknit.reconstruct(capture).findings
-    assert ("light-order", ("image 3", "image 10")) in {(each.code, each.files) for each in findings}
+    assert ("light-order", ("image 3", "image 10")) in {
+        (each.code, each.files) for each in findings
+    }
 
 
 @pytest.mark.parametrize("light", [2000.0, None])
