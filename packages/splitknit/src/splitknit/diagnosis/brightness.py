@@ -190,11 +190,11 @@ def _other_lights(
         return []
     misfits = misfits_by_light(matt, grey, lights)
     own = np.diag(misfits)
-    odd = np.flatnonzero(own > LIMITS.other_light * misfits.min(axis=1))
-    if not odd.size:
+    odd = np.flatnonzero(own > LIMITS.other_light * misfits.min(axis=1)).tolist()
+    if not odd:
         return []
     files = tuple(names[k] for k in odd)
-    fits = "; ".join(f"{names[k]} that of {names[misfits[k].argmin()]}" for k in odd)
+    fits = "; ".join(f"{names[k]} that of {names[int(misfits[k].argmin())]}" for k in odd)
     words = (
         f"photographs fit another light than their own: {fits}; check their files, and the order"
         " and directions of the lights."

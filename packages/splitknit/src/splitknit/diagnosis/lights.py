@@ -235,7 +235,7 @@ def _solved(  # noqa: PLR0917
         entering = fresnel_transmission(cosine) * cosine**_DARKENING_EXPONENT
         residual = (images - shading(g, lights)) / np.maximum(images.mean(axis=0), 1e-12)
         lights = vectors * entering[:, None]
-    return residual, np.maximum(albedo, 1e-12), normals
+    return np.asarray(residual), np.maximum(albedo, 1e-12), np.asarray(normals, np.float64)
 
 
 def findings_on_places(observation: Observation, finger: Finger) -> list[Finding]:

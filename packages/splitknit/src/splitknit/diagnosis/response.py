@@ -24,7 +24,6 @@ from splitknit.imaging.geometry import refined_peak
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.light import Light
 from splitknit.observation.observe import Observation
-from splitknit.photometric.equations import length
 from splitknit.photometric.forward import unequal
 
 SWAPPED = (
@@ -97,7 +96,7 @@ def doubt_of_response(observation: Observation, finger: Finger) -> Finding | Non
             surface = coarse_surface(stack.sum(axis=0), blocks)
         towards = blocks.lights(surface)[..., core]
         mean = towards.mean(axis=-1)
-        strength = length(mean.T)
+        strength = np.asarray(np.linalg.norm(mean, axis=1), dtype=np.float64)
         exposure = band.exposure if len(band.exposure) == len(strength) else 1.0
         gains = image_gains(light, towards)
         response = Response(gains, mean / strength[:, None], strength * exposure, band.image_names)
@@ -119,8 +118,8 @@ def doubt_of_response(observation: Observation, finger: Finger) -> Finding | Non
                 doubts.append(Finding("flat-finger", FLAT.format(height), Severity.DOUBT))
     if not responses:
         return None
-    tone, sure = tone_exponent(responses)
-    if abs(tone - 1) > _TONE_DOUBTED and abs(sure) > _TONE_SURE:
+    tone, t_value = tone_exponent(responses)
+    if abs(tone - 1) > _TONE_DOUBTED and abs(t_value) > _TONE_SURE:
         # departure of the exponent from one that spoils the surface
         severity = Severity.SPOILS if abs(tone - 1) > 0.1 else Severity.DOUBT
         return Finding("tone-curve", TONE.format(tone), severity)
