@@ -18,8 +18,8 @@ BARE = (
     " heights there are not the skin's; take off what covers it, such as a plaster or dirt."
 )
 OTHER_RIDGES = (
-    "{} does not show the ridges that all other photographs show (moved, double, or another"
-    " finger's): the relief mixes both; capture it again."
+    "{} does not show the ridges that all other photographs show (moved, double, blurred, or"
+    " another finger's): the relief mixes both; capture it again."
 )
 _LEAST_PX_PER_MM = 6.0  # scale below which ridges are not seen: three pixels from one to the next
 _RIDGES_FINE_MM = 0.06
