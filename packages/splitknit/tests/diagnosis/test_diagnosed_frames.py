@@ -138,7 +138,6 @@ def test_a_wrong_order_is_found_and_no_frame_advised(egg, name, uneven):
     assert fit.order == order
     words = str(doubt_of_lights(fit))
     if uneven or name in {"two exchanged", "shuffled"}:
-        assert fit.residual > 1.3 * fit.residual_in_order
         assert "`light_frame`" not in words
     assert {"two exchanged": "exchange the lights of image 2 and image 3"}.get(
         name, "order"

@@ -54,10 +54,10 @@ def test_stated_places_are_not_doubted():
 @pytest.mark.parametrize(
     ("stated", "words"),
     [
-        (_rig(height_mm=180.0), "mm lower than the rig states"),
-        (_rig(height_mm=100.0), "mm higher than the rig states"),
-        (_rig(radius_mm=40.0), "mm wider in radius"),
-        (_rig(radius_mm=65.0), "mm narrower in radius"),
+        (_rig(height_mm=180.0), "seem to be 0."),
+        (_rig(height_mm=100.0), "seem to be 1."),
+        (_rig(radius_mm=40.0), "their ring 1."),
+        (_rig(radius_mm=65.0), "their ring 0."),
         (_rig(x_mm=8.0), "the middle of the LEDs' ring"),
         (_rig(x_mm=-6.0, y_mm=-6.0), "the middle of the LEDs' ring"),
     ],

@@ -44,11 +44,23 @@ def test_a_flat_plate_comes_out_flat_by_the_ground_beside_it() -> None:
     capture, _ = capture_of_arrays(*plate(70.0), PX_PER_MM, np.ones(16))
     stated = splitknit.reconstruct(capture, settings={"lights.places": "stated"})
     fitted = splitknit.reconstruct(capture)
-    assert "near-lights" in {finding.code for finding in fitted.findings}
+    assert {"near-lights", "light-order"} & {each.code for each in fitted.findings} == {
+        "near-lights"
+    }
     assert np.shape(fitted.facts["light_places_mm"]) == (16, 3)
     assert "near-lights" not in {finding.code for finding in stated.findings}
     assert abs(bow_mm(stated)) > 0.5
     assert abs(bow_mm(fitted)) < 0.05
+
+
+def test_exchanged_photographs_are_named_by_the_ground() -> None:
+    images, directions, mask = plate(70.0)
+    images[[3, 10]] = images[[10, 3]]
+    capture, _ = capture_of_arrays(images, directions, mask, PX_PER_MM, np.ones(16))
+    findings = splitknit.reconstruct(capture).findings
+    assert ("light-order", ("image 3", "image 10")) in {
+        (each.code, each.files) for each in findings
+    }
 
 
 @pytest.mark.parametrize("light", [2000.0, None])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.diagnosis.response import (
+    Response,
     blue_over_red,
     colour_spread,
     height_over_half_width,
@@ -46,8 +47,8 @@ def test_gains_that_differ_between_colours_are_detected():
 def test_unequal_lights_give_the_tone_exponent(exponent):
     """Within 0.02, and far beyond its error where it is not one."""
     light, lights = scene(BRIGHTNESS)
-    gains = image_gains(light**exponent, lights).mean(axis=0)
-    estimated, significance = tone_exponent([(gains, DIRECTIONS, BRIGHTNESS)])
+    gains = image_gains(light**exponent, lights)
+    estimated, significance = tone_exponent([Response(gains, DIRECTIONS, BRIGHTNESS, ())])
     assert estimated == pytest.approx(exponent, abs=0.02)
     assert (abs(significance) > 10) == (exponent != 1.0)
 
@@ -55,11 +56,11 @@ def test_unequal_lights_give_the_tone_exponent(exponent):
 def test_ambient_light_lowers_the_exponent_and_equal_lights_give_none():
     """A lamp of 30 %."""
     light, lights = scene(BRIGHTNESS)
-    gains = image_gains(light + 0.3 * light.mean(axis=1, keepdims=True), lights).mean(axis=0)
-    estimated, significance = tone_exponent([(gains, DIRECTIONS, BRIGHTNESS)])
+    gains = image_gains(light + 0.3 * light.mean(axis=1, keepdims=True), lights)
+    estimated, significance = tone_exponent([Response(gains, DIRECTIONS, BRIGHTNESS, ())])
     assert estimated < 0.85
     assert significance < -10
-    assert np.isnan(tone_exponent([(0 * gains, DIRECTIONS, np.ones(7))])[0])
+    assert np.isnan(tone_exponent([Response(gains, DIRECTIONS, np.ones(7), ())])[0])
 
 
 @pytest.mark.parametrize("exponent", [0.7, 0.8, 1.0, 1.3])

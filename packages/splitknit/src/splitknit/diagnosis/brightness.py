@@ -4,18 +4,16 @@ assumed: hypotheses of the forward model."""
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from splitknit.diagnosis.samples import LEAST_PHOTOGRAPHS, median_angle_deg
+from splitknit.diagnosis.samples import LEAST_PHOTOGRAPHS, in_blocks, median_angle_deg
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
-from splitknit.imaging.light_field import light_vectors_at
-from splitknit.imaging.pixels import bin_mean
 from splitknit.imaging.robust import deviation
-from splitknit.imaging.view import view_of
 from splitknit.model import Array, FloatArray
 from splitknit.observation.light import Light
 from splitknit.observation.observe import Observation
@@ -25,6 +23,7 @@ from splitknit.photometric.forward import (
     Explanation,
     hypotheses,
     matt_misfit,
+    misfits_by_light,
 )
 
 
@@ -63,6 +62,9 @@ class Limits:
     lamps that differ a little."""
     curved: float = 4.0
     """Misfit under a wrong encoding over that under the right one, where it is sure."""
+    other_light: float = 2.0
+    """Misfit of a photograph under its own light over that under another one's, where it is under
+    the other: 3.9 to 105 where it is, up to 1.1 where not (DiLiGenT's bear and ball)."""
     ambient: float = 0.06
     """Light of places that face away from the lamp, over the full light: up to 0.03 on eleven
     matt things, photographed and rendered, 0.10 to 0.22 with light of the room of 15 %."""
@@ -88,12 +90,11 @@ def sampled(band: Light, finger: Finger) -> tuple[FloatArray, FloatArray]:
     """Light (1 + C, L, n) of some places of an object, grey before its channels, zero where it is
     clipped; and the lights (L, 3, n) there, in the pixels' own frames."""
     every = max(1, math.ceil(math.sqrt(finger.inside.sum() / LIMITS.places)))
-    inside = bin_mean(finger.inside.astype(np.float32), every) > 0.99
-    values = band.at(every, finger.window).grey_and_stack
+    light, inside, _ = blocks = in_blocks(band, finger.wider, finger.window, every)
+    values = light.grey_and_stack
     values[:, values[0] >= band.clips_at[:, None, None]] = 0.0
-    view = view_of(band.built.camera, *finger.window, binning=every, along_rays=True)
-    x, y, z = (axis[inside] for axis in view.points(np.zeros(inside.shape, dtype=np.float32)))
-    return values[..., inside], view.turned(light_vectors_at(band.rig, x, y, z), where=inside)
+    flat = np.zeros(inside.shape, dtype=np.float32)
+    return values[..., inside], blocks.lights(flat)[..., inside]
 
 
 def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any], list[Finding]]:
@@ -104,14 +105,16 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
     if len(band.lights) <= LEAST_PHOTOGRAPHS:
         return band, {}, []
     rig = band.rig
-    (grey, *colours), lights = sampled(band, finger)
+    values, lights = sampled(band, finger)
+    grey, colours = values[0], values[1:]
     if grey.shape[1] < LIMITS.fewest:
         return band, {}, []
     fits = hypotheses(grey, lights)
     facts: dict[str, Any] = {"matt_misfit": round(fits["matt"].misfit, 4)}
-    ambient = _light_everywhere(fits["matt"], grey, lights)
-    if band.flattened or ambient:
-        return band, facts, ambient
+    doubts = _light_everywhere(fits["matt"], grey, lights)
+    doubts += _other_lights(fits["matt"], grey, lights, band.image_names)
+    if band.flattened or doubts:
+        return band, facts, doubts
     equal, unequal = _fitting(fits, "matt", "glossy"), _fitting(fits, "unequal", "both")
     spread = float(unequal.gains.std())
     clear = equal.misfit > LIMITS.better * unequal.misfit
@@ -133,16 +136,12 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
     far &= unequal.misfit > LIMITS.sure
     if not rig.intensities_assumed or (far and not asked):
         listed = gains * [led.intensity for led in rig.leds]
-        seem = (
-            f"the lights seem to differ in brightness, {gains.max() / gains.min():.1f}-fold,"
-            f" {effect}: so much is not taken out unasked, and they are taken as equal"
-            if rig.intensities_assumed
-            else "the lights are not as bright as is stated of them: they seem to differ from it by"
-            f" {100 * spread:.0f} %, {effect}"
-        )
+        stated = "taken as equal" if rig.intensities_assumed else "stated"
         words = (
-            f"{seem}; give `brightness` estimate, or as fourth numbers of the list (`intensities`),"
-            f" in its order: {' '.join(f'{each:.3f}' for each in listed / listed.mean())}."
+            f"the lights are not as bright as is {stated}: they seem to differ from it by"
+            f" {100 * spread:.0f} %, {effect}, which was not taken out; give `brightness` estimate,"
+            " or as fourth numbers of the list (`intensities`), in its order:"
+            f" {' '.join(f'{each:.3f}' for each in listed / listed.mean())}."
         )
         doubt = Finding("unequal-lights", words, Severity.DOUBT, effect_deg=turned_deg)
         return band, facts, [doubt]
@@ -183,6 +182,26 @@ def _light_everywhere(matt: Explanation, grey: FloatArray, lights: FloatArray) -
     return [Finding("ambient-light", words, Severity.DOUBT)]
 
 
+def _other_lights(
+    matt: Explanation, grey: FloatArray, lights: FloatArray, names: Sequence[str]
+) -> list[Finding]:
+    """A doubt where a photograph fits the light of another one far better than its own."""
+    if matt.misfit > LIMITS.unexplained:
+        return []
+    misfits = misfits_by_light(matt, grey, lights)
+    own = np.diag(misfits)
+    odd = np.flatnonzero(own > LIMITS.other_light * misfits.min(axis=1)).tolist()
+    if not odd:
+        return []
+    files = tuple(names[k] for k in odd)
+    fits = "; ".join(f"{names[k]} that of {names[int(misfits[k].argmin())]}" for k in odd)
+    words = (
+        f"photographs fit another light than their own: {fits}; check their files, and the order"
+        " and directions of the lights."
+    )
+    return [Finding("light-order", words, Severity.DOUBT, files)]
+
+
 def _unexplained(fits: dict[str, Explanation], equal: Explanation, assumed: bool) -> list[Finding]:
     """What equal lights leave open: whether a surface shines or lights differ, where both explain
     the photographs; or that neither does."""
@@ -212,18 +231,16 @@ def _fitting(fits: dict[str, Explanation], simple: str, free: str) -> Explanatio
     return fits[free] if better else fits[simple]
 
 
-def _of_colours(grey: FloatArray, colours: list[FloatArray]) -> Array:
+def _of_colours(grey: FloatArray, colours: FloatArray) -> Array:
     """(L, C) brightness of each light's colours over its grey."""
-    ratios = np.zeros((len(grey), len(colours)))
-    means = np.array([each.mean() for each in colours])
+    lit = (grey > 0.1 * grey.max(axis=0)) & (colours > 0).all(axis=0)
+    means = colours.mean(axis=(1, 2))
     # below this fraction of the mean, a colour channel is too dark to judge a light's brightness
-    if len(colours) == 3 and (means >= 0.1 * means.mean()).all():
-        lit = (grey > 0.1 * grey.max(axis=0)) & np.all([each > 0 for each in colours], axis=0)
-        for c, each in enumerate(colours):
-            logs = np.log(np.where(lit, each, 1.0)) - np.log(np.where(lit, grey, 1.0))
-            logs -= (logs * lit).sum(axis=0) / np.maximum(lit.sum(axis=0), 1)
-            for k in np.flatnonzero(lit.any(axis=1)):
-                ratios[k, c] = np.median(logs[k, lit[k]])
+    if len(colours) < 3 or (means < 0.1 * means.mean()).any() or not lit.any(axis=1).all():
+        return np.ones((len(grey), len(colours)))
+    logs = np.log(np.where(lit, colours / np.maximum(grey, 1e-12), 1.0))
+    logs -= logs.sum(axis=1, keepdims=True) / np.maximum(lit.sum(axis=0), 1)
+    ratios = np.nanmedian(np.where(lit, logs, np.nan), axis=2).T
     return np.asarray(np.exp(ratios - ratios.mean(axis=0)))
 
 

@@ -159,9 +159,6 @@ CODES: dict[str, Code] = {
     ),
     "double-photograph": Code("A photograph shows everything twice.", "Capture it again.", _FITS),
     "unlike-photograph": Code("A photograph does not fit the others.", "Capture it again.", _FITS),
-    "overexposed-surface": Code(
-        "A part is overexposed in nearly all photographs.", "Shorten the exposure."
-    ),
     # how good the photographs are
     "dark-photographs": Code("The photographs are dark.", "Lengthen the exposure."),
     "saturated-photograph": Code(

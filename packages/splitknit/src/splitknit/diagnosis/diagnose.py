@@ -13,9 +13,9 @@ from splitknit.diagnosis.brightness import with_encoding, with_equal_lights
 from splitknit.diagnosis.frames import HIGH_RESIDUAL, TURNED, LightFit, doubt_of_lights, fit_lights
 from splitknit.diagnosis.lights import findings_on_places, with_places_by_ground
 from splitknit.diagnosis.masks import findings_on_mask, findings_on_outline
-from splitknit.diagnosis.photographs import compared_pixels, faulty_photograph, left_out
+from splitknit.diagnosis.photographs import left_out
 from splitknit.diagnosis.relief import findings_on_relief
-from splitknit.diagnosis.response import ResponseDoubt, doubt_of_response
+from splitknit.diagnosis.response import doubt_of_response
 from splitknit.diagnosis.samples import sampled_light
 from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
@@ -81,10 +81,7 @@ def _judged_object(
     if fit is None or fit.in_order or fit.frame == TURNED:
         bands = dict(observation.bands)
         for name, band in observation.bands.items():
-            pixels = compared_pixels(band, finger)
-            if pixels is None:
-                continue
-            bands[name], notes = left_out(band, finger, *pixels)
+            bands[name], notes = left_out(band, finger)
             findings += notes
             if name == "white":
                 bands[name], of_lights, notes = with_equal_lights(bands[name], finger)
@@ -107,7 +104,8 @@ def _judged_skin(
     sound = fit is None or fit.residual < HIGH_RESIDUAL
     response = doubt_of_response(observation, finger) if sound else None
     facts: dict[str, Any] = {}
-    findings = [response.finding] if response is not None and response.sure else []
+    sure = response is not None and response.severity == Severity.SPOILS
+    findings = [response] if response is not None and sure else []
     doubted = set()
     for name in _judged_bands(observation):
         band = observation.bands[name]
@@ -147,9 +145,7 @@ def _suffix(name: str) -> str:
 def _fit(light: Light, material: str, finger: Finger) -> LightFit:
     """How well a band's photographs fit their lights."""
     stack, vectors, pixels = sampled_light(light)
-    opaque = material == "opaque"
-    fit = fit_lights(stack, vectors, finger.wider[pixels], relief=opaque)
-    return replace(fit, brightness=()) if opaque else fit  # see `with_equal_lights`
+    return fit_lights(stack, vectors, finger.wider[pixels], relief=material == "opaque")
 
 
 def _judged_lights(
@@ -157,7 +153,7 @@ def _judged_lights(
     name: str,
     finger: Finger,
     white_fit: LightFit | None,
-    response: ResponseDoubt | None,
+    response: Finding | None,
 ) -> tuple[dict[str, Any], list[Finding]]:
     """How well a band's photographs fit their lights, and what is wrong where another order or
     frame fits better, one does not belong to the others, or the camera's response is wrong.
@@ -182,10 +178,7 @@ def _judged_lights(
     worse = fit.strange is not None or (
         doubt is not None and doubt.severity == Severity.SPOILS and not fit.brightness
     )
-    if in_order and response is not None and (response.sure or not worse):  # it explains the rest
-        return facts, [response.finding] if white and not response.sure else []
-    # photographs are compared with each other under distant lights alone, which leave less than
-    # this unexplained; LEDs beside the finger leave more
-    if doubt is None and observation.material == "skin" and fit.residual < 0.15:
-        doubt = faulty_photograph(band, finger)
+    sure = response is not None and response.severity == Severity.SPOILS
+    if in_order and response is not None and (sure or not worse):  # it explains the rest
+        return facts, [response] if white and not sure else []
     return facts, [] if doubt is None else [doubt.of_band(name)]

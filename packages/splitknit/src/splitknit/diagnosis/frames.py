@@ -39,6 +39,7 @@ FRAMES: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
 }
 """Where x and y point in the image, and the matrix that turns such a vector's x and y to x right, y
 up."""
+_OPPOSITE = {"right": "left", "left": "right", "up": "down", "down": "up"}
 TURNED = "left-down"
 HOLLOW = (
     "the object comes out hollow; if it is a hill, its lights were measured with x pointing left"
@@ -75,8 +76,6 @@ class LightFit:
     """The same of every photograph."""
     order: tuple[int, ...]
     """Estimated light of each photograph, from 0: its own unless the photographs contradict it."""
-    residual_in_order: float
-    """The residual in that order."""
     frame: str
     """Name in :data:`FRAMES`; ``right-up`` while the residual is high or an order is clearly
     better."""
@@ -154,7 +153,7 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
     in_order = bool((order == own).all())
     gains = np.ones(len(vectors))
     strange = None
-    if in_order:
+    if in_order and not relief:  # of an opaque thing the forward model is asked
         # fewer fit any brightness
         if residual > _NO_RESIDUAL and len(vectors) >= _FEWEST_OF_STRANGE:
             gains = _explained_gains(gram, vectors, residual)
@@ -172,7 +171,6 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
         residual,
         tuple(residual_per_image.tolist()),
         tuple(order.tolist()),
-        _residual(gram, vectors[order])[0],
         frame,
         strange,
         tuple(gains.tolist()) if unequal else (),
@@ -305,8 +303,7 @@ def _fault_of_lights(  # noqa: PLR0911
             f" {100 * logs.std():.0f} % (most that of {names[most]}, {fit.brightness[most]:.2f}"
             f" of the mean), and {turned}; calibrate their brightness.",
         )
-    # a strange photograph of an object is named where it turns the surface by more
-    if fit.strange is not None and (material == "skin" or fit.turned_deg > 0.5):
+    if fit.strange is not None:
         return Finding(
             "strange-photograph",
             f"{names[fit.strange]} does not belong to the other photographs: {turned}; check that"
@@ -315,54 +312,40 @@ def _fault_of_lights(  # noqa: PLR0911
         )
     if material == "opaque" and fit.frame == TURNED:
         return Finding("hollow", HOLLOW)
-    across, along = fit.frame.split("-")
-    opposite = next(
-        name for name, axes in FRAMES.items() if not (np.array(axes) + FRAMES[fit.frame]).any()
-    )
-    hollow = f" ({opposite} if what is raised comes out hollow)" if material == "opaque" else ""
-    frame_words = (
-        f"the directions of the lights seem to be measured with x pointing {across} and y {along}"
-        " in the image, not right and up: only so do the slopes that were found belong to one"
-        f" surface; if they are, give `light_frame` {fit.frame}{hollow}, or leave out the one that"
-        " was given"
-    )
-    residual = f"{100 * fit.residual:.0f} % of the light"
-    if not fit.in_order:
-        moved = [k for k, light in enumerate(fit.order) if light != k]
-        numbers = " ".join(str(light + 1) for light in fit.order)
-        remedy = f"give the lights, counted from 1, in the order {numbers}"
-        if len(moved) == 2:
-            remedy = f"exchange the lights of {names[moved[0]]} and {names[moved[1]]}"
-        words = (
-            "the photographs seem to be under other lights than those they are given, shifted or"
-            " reversed along the ring: only in another order do one surface's slopes follow from"
-            f" them: {remedy}."
-        )
-        if fit.frame != "right-up":
-            words = f"{frame_words}; or their order is another: {remedy}."
-        elif fit.residual_in_order < _LESS_RESIDUAL * fit.residual:
-            words = (
-                "the photographs seem to be under other lights than those they are given, as"
-                f" {residual} does not fit them, {100 * fit.residual_in_order:.0f} % would in"
-                f" another order, and {turned}: {remedy}."
-            )
-        return Finding("light-order", words)
+    advice = []
     if fit.frame != "right-up":
-        return Finding("light-frame", f"{frame_words}.")
+        across, along = fit.frame.split("-")
+        opposite = f"{_OPPOSITE[across]}-{_OPPOSITE[along]}"
+        hollow = f" ({opposite} if what is raised comes out hollow)" if material == "opaque" else ""
+        advice.append(
+            f"if their x points {across} and their y {along} in the image, not right and up, give"
+            f" `light_frame` {fit.frame}{hollow}, or leave out the one that was given"
+        )
+    moved = [k for k, light in enumerate(fit.order) if light != k]
+    if len(moved) == 2:
+        advice.append(f"exchange the lights of {names[moved[0]]} and {names[moved[1]]}")
+    elif moved:
+        numbers = " ".join(str(light + 1) for light in fit.order)
+        advice.append(f"give the lights, counted from 1, in the order {numbers}")
+    if advice:
+        effect = f" ({turned})" if moved else ""
+        words = (
+            f"only in another order or frame do the lights show one surface{effect}:"
+            f" {'; or '.join(advice)}."
+        )
+        return Finding("light-order" if moved else "light-frame", words)
     if fit.curl > _DOUBTED_CURL:
         return Finding("no-surface", _NO_SURFACE.format(100 * fit.curl))
     if fit.residual < HIGH_RESIDUAL or material == "opaque":  # of which the forward model is asked
         return None
-    limit = 1.4 * float(np.median(fit.residual_per_image))
-    order = np.argsort(fit.residual_per_image)[::-1]
-    worst = [names[k] for k in order if fit.residual_per_image[k] > limit][:4]
+    worst = [names[k] for k in np.argsort(fit.residual_per_image)[:-4:-1]]
     return Finding(
         "light-residual",
-        f"the photographs do not fit the lights they are given: {residual} does not fit a matt"
-        " surface under these lights (1 to 15 % is"
-        f" usual){'; most in ' + ', '.join(worst) if worst else ''}; check the order and"
-        " directions of the lights, their brightness, `encoding` and `background`; shine and"
-        " deep shadows leave much too.",
+        "the photographs do not fit the lights they are given:"
+        f" {100 * fit.residual:.0f} % of the light does not fit a matt surface under these lights"
+        f" (1 to 15 % is usual); most in {', '.join(worst)}; check the order and directions of the"
+        " lights, their brightness, `encoding` and `background`; shine and deep shadows leave much"
+        " too.",
     )
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from splitknit.diagnosis.samples import checked, sampled_light
+from splitknit.diagnosis.samples import sampled_light
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.finger.regions import border, erode
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.observe import Observation
 
 INVERTED = (
@@ -26,12 +25,11 @@ _INVERTED_TURNS_DEG = 5.0
 (drawn, on six kinds of tables)."""
 
 
-def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
-    """Whether a mask (H, W) looks inverted: it runs around the picture, and what it leaves out,
-    lit, changes more in direction than what it holds. Directions are those of pinv(lights) @ stack,
-    one vector a pixel.
+def leaves_out_object(images: FloatArray, lights: Array, inside: BoolArray) -> bool:
+    """Whether a mask looks inverted: it runs around the picture, and what it leaves out, lit,
+    changes more in direction than what it holds. Directions are those of pinv(lights) @ images, one
+    vector a pixel.
     """
-    images, vectors, inside, _ = checked(stack, lights, mask, None)
     mean = images.mean(axis=0)
     lit = mean > _LIT_OBJECT * np.quantile(mean, 0.995)
     beside, held = lit & ~inside, lit & inside
@@ -43,7 +41,7 @@ def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
     if held.sum() < _LIT_OBJECT * inside.sum():
         return True
     rows, columns = np.nonzero(held)
-    light = np.tensordot(np.linalg.pinv(vectors), images, 1)
+    light = np.tensordot(np.linalg.pinv(lights), images, 1)
     unit = light / np.maximum(np.linalg.norm(light, axis=0), 1e-12)
     place = np.stack([rows, columns, np.ones(len(rows))], axis=1)
     trend = place @ np.linalg.lstsq(place, unit[:, held].T, rcond=None)[0]

@@ -17,17 +17,14 @@ import cv2
 import numpy as np
 
 from splitknit.checks import check_lights
-from splitknit.diagnosis.frames import SPOILT_DEG
 from splitknit.diagnosis.samples import (
     LEAST_PHOTOGRAPHS,
-    checked,
+    in_blocks,
     median_angle_deg,
-    sampled_light,
 )
 from splitknit.errors import BadInput
-from splitknit.findings import Finding, Severity
+from splitknit.findings import Finding
 from splitknit.finger.locate import Finger
-from splitknit.imaging.pixels import bin_mean
 from splitknit.imaging.robust import cauchy
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.light import Light
@@ -39,16 +36,12 @@ from splitknit.photometric.equations import (
     shading,
     unit_normals,
 )
-from splitknit.photometric.forward import lamp_gains
+from splitknit.photometric.forward import unequal
 
 GLOSSY_LEFT = 0.1
 """Unexplained fraction of the light (:attr:`_Comparison.left`) above which gloss, whose highlight
 moves, causes the misfit: 0.13 and more on metal where a sound photograph seemed blurred or shifted,
 up to 0.04 on matt objects, 0.09 on lacquer. Source: validation/objects (glossy)."""
-OVEREXPOSED = (
-    "{:.1f} % of the surface is overexposed in all photographs but two or fewer: its slopes there"
-    " are unknown; photograph it again with a shorter exposure."
-)
 _COMPARED_SQUARE_PX = 7
 """Side of the square that must be lit and inside the mask around a pixel that is compared."""
 _SQUARE = np.ones((_COMPARED_SQUARE_PX, _COMPARED_SQUARE_PX), np.uint8)
@@ -73,26 +66,26 @@ _FITTED = 8000  # pixels to which derivatives are fitted, in px: speed
 
 
 def faulty_photographs(
-    stack: Any, lights: Any, mask: Any = None, ceilings: Any = None
+    images: FloatArray, lights: Array, inside: BoolArray, ceilings: Any = np.inf
 ) -> tuple[PhotographFault, ...]:
     """Photographs that do not fit the others, the worst first; an overexposed one may come twice.
 
     Parameters
     ----------
-    stack : (L, H, W)
+    images : (L, H, W)
         Linear light, one image a light, of any material and band; fewer than five are not compared.
     lights : (L, 3)
         Directions towards the lights; their brightness is estimated
-        (:func:`splitknit.photometric.forward.lamp_gains`).
-    mask : (H, W) bool, optional
-        The object; everything by default.
-    ceilings : float or (L,), optional
+        (:func:`splitknit.photometric.forward.unequal`).
+    inside : (H, W)
+        The object.
+    ceilings : float or (L,)
         Value from which each image is clipped.
 
     Raises
     ------
     BadInput
-        As :func:`splitknit.photometric.lambertian.lambertian`.
+        If the lights are too few, duplicate or coplanar.
 
     References
     ----------
@@ -100,7 +93,8 @@ def faulty_photographs(
     (1977), for the residual of what is left out; B. D. Lucas and T. Kanade, "An iterative image
     registration technique", IJCAI 1981, for shifts.
     """
-    images, vectors, inside, levels = checked(stack, lights, mask, ceilings)
+    vectors = check_lights(lights, len(images))
+    levels = np.broadcast_to(np.float32(ceilings), len(images))
     if len(images) <= LEAST_PHOTOGRAPHS or inside.sum() < _FEWEST_COMPARED:
         return ()
 
@@ -118,7 +112,7 @@ def faulty_photographs(
         if clipped[k] > 0.01
     ]
     light = np.where(images < levels[:, None, None], images, 0.0)[:, inside]
-    gains = lamp_gains(light, vectors.astype(np.float32))
+    gains = np.exp(unequal(light, vectors.astype(np.float32)).gains)
     dim = gains / np.median(gains)
     kept = list(range(len(images)))
     # brightness over the median photograph's below which noise and the steps of the numbers count
@@ -137,7 +131,7 @@ def faulty_photographs(
         except BadInput:  # without it they determine no normal
             break
         faults.append(replace(fault, photograph=k))
-        gains[kept] = lamp_gains(light[kept], vectors[kept].astype(np.float32))
+        gains[kept] = np.exp(unequal(light[kept], vectors[kept].astype(np.float32)).gains)
     return tuple(faults)
 
 
@@ -348,49 +342,23 @@ def _smooth(image: FloatArray) -> FloatArray:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 1.0))
 
 
-def compared_pixels(band: Light, finger: Finger) -> tuple[int, BoolArray] | None:
-    """Reduction of photographs before they are compared, and the object's mask at that scale; None
-    where they are not comparable."""
+def left_out(band: Light, finger: Finger) -> tuple[Light, list[Finding]]:
+    """A band of an opaque object without the photographs that do not fit the others, and notes on
+    them."""
     values = band.photographs * finger.inside.size
     # values of all photographs that are compared with each other, at most; larger ones are binned
     binning = max(1, int(np.ceil(np.sqrt(values / 4_000_000))))
-    inside = bin_mean(finger.inside.astype(np.float32), binning) > 0.99
-    comparable = len(band.lights) == band.photographs and not band.polarised
-    return (binning, inside) if comparable and inside.any() else None
-
-
-def left_out(
-    band: Light, finger: Finger, binning: int, inside: BoolArray
-) -> tuple[Light, list[Finding]]:
-    """A band of an opaque object without the photographs that do not fit the others, and notes on
-    them."""
-    stack = band.at(binning, finger.window).grey
+    light, inside, _ = in_blocks(band, finger.wider, finger.window, binning)
+    if len(band.lights) != band.photographs or band.polarised or not inside.any():
+        return band, []  # they are not comparable
+    stack = light.grey
     levels = band.clips_at
     lights = band.rig.light_vectors()
     faults = faulty_photographs(stack, lights, inside, levels)
     effect = "it was left out, and would have turned the normals by {:.2g} deg (median)"
     notes = [_fault_finding(band, fault, binning, effect) for fault in faults]
-    clipped = (stack >= levels[:, None, None]).sum(axis=0)[inside] > len(stack) - 3
-    # fraction of the surface that is overexposed in nearly all photographs from which it is noted
-    if clipped.mean() > 0.002:
-        notes.append(Finding("overexposed-surface", OVEREXPOSED.format(100 * clipped.mean())))
     out = {fault.photograph for fault in faults if fault.kind != "overexposed"}
     return band.of_images([k for k in range(len(stack)) if k not in out]) if out else band, notes
-
-
-def faulty_photograph(band: Light, finger: Finger) -> Finding | None:
-    """The photograph of skin that fits the others least, if it turns the surface."""
-    stack, vectors, pixels = sampled_light(band)
-    faults = faulty_photographs(stack, vectors, finger.wider[pixels], band.clips_at)
-    # highlights are overexposed, and no method takes them for skin; other faults are noted where
-    # they turn the surface by more than half a degree
-    bad = [fault for fault in faults if fault.kind != "overexposed" and fault.effect_deg > 0.5]
-    if not bad:
-        return None
-    fault = max(bad, key=lambda each: each.effect_deg)
-    effect = "it turns the surface by {:.1f} deg (median); capture it again"
-    severity = Severity.SPOILS if fault.effect_deg > SPOILT_DEG else Severity.DOUBT
-    return replace(_fault_finding(band, fault, pixels[0].step, effect), severity=severity)
 
 
 def _fault_finding(band: Light, fault: PhotographFault, binning: int, effect: str) -> Finding:

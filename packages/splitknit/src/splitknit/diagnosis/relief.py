@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from splitknit.diagnosis.samples import in_blocks
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.finger.regions import depth_inside, dilate, largest_component, quantile
 from splitknit.imaging.geometry import smoothed
-from splitknit.imaging.pixels import bin_mean
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.observe import Observation
 
@@ -18,8 +18,8 @@ BARE = (
     " heights there are not the skin's; take off what covers it, such as a plaster or dirt."
 )
 OTHER_RIDGES = (
-    "{} does not show the ridges that all other photographs show (moved, double, or another"
-    " finger's): the relief mixes both; capture it again."
+    "{} does not show the ridges that all other photographs show (moved, double, blurred, or"
+    " another finger's): the relief mixes both; capture it again."
 )
 _LEAST_PX_PER_MM = 6.0  # scale below which ridges are not seen: three pixels from one to the next
 _RIDGES_FINE_MM = 0.06
@@ -99,8 +99,8 @@ def findings_on_relief(observation: Observation, finger: Finger, *, fits: bool) 
     """
     white, px_per_mm = observation.white, observation.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / (2 * _LEAST_PX_PER_MM)))
-    inside = bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99
-    stack = white.at(binning, finger.window).grey
+    light, inside, _ = in_blocks(white, finger.mask, finger.window, binning)
+    stack = light.grey
     area_mm2, part = bare_patch(stack, inside, px_per_mm / binning)
     findings = []
     if area_mm2:

@@ -12,23 +12,19 @@ not in proportion to the light also flatten or steepen the whole surface, as the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from splitknit.diagnosis.samples import coarse_surface, in_blocks
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.finger.regions import erode
 from splitknit.imaging.geometry import refined_peak
-from splitknit.imaging.light_field import light_vectors_at
-from splitknit.imaging.view import View, view_of
-from splitknit.integration.poisson import poisson
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.light import Light
 from splitknit.observation.observe import Observation
-from splitknit.photometric.equations import shading, solve
-from splitknit.photometric.near_light import pseudo_normals
+from splitknit.photometric.forward import unequal
 
 SWAPPED = (
     "the skin is {:.1f} times as bright in blue as in red, but blood makes it 0.4 to 0.7: the files"
@@ -44,15 +40,11 @@ WHITE_BALANCE = (
     " 1 %: the camera seems to have balanced white anew for each, which spoils shape and ridges;"
     " fix its white balance and exposure."
 )
-ENCODING = (
-    "the photographs do not fit their lights as they are declared, {} (`encoding`), but as {}:"
-    " check how they were stored (a tone curve or local contrast of the camera looks alike);"
-    " heights are wrong otherwise."
-)
 TONE = (
     "the photographs are not in proportion to the light, value = light^{:.2f}: a gamma, tone curve,"
-    " night mode or local contrast of the camera, or haze or light of the room in all images;"
-    " heights are wrong; store RAW or linear images, and add an ambient one."
+    " night mode or local contrast of the camera, haze or light of the room in all images, or a"
+    " wrong `encoding` (then below 0.7 or above 1.5); heights are wrong; store RAW or linear"
+    " images, and add an ambient one."
 )
 FLAT = (
     "the finger comes out {:.2f} times as high as it is half wide (0.6 to 1 is usual): local"
@@ -64,81 +56,87 @@ DRIFTED = (
     "{}: its LED is {:.0f} % {} than at the calibration, by this capture; photograph the white card"
     " again (splitknit calibrate radiometry)."
 )
-_EXPONENTS = np.geomspace(0.55, 1.8, 9)  # of shading, that are tried
+_EXPONENTS = np.geomspace(0.64, 1.8, 8)  # of shading, that are tried
 
 
-class ResponseDoubt(NamedTuple):
-    """What is wrong with a camera's response to light."""
-
-    finding: Finding
-    sure: bool = True
-    """Whether it holds even where the photographs are not in the order of their lights."""
-
-
-class _Response(NamedTuple):
+class Response(NamedTuple):
     """Response of a band's L images to the light."""
 
     gains: Array
+    """(C, L) as of :func:`image_gains`."""
     directions: Array
+    """(L, 3) mean direction to each light."""
     brightness: Array
-    """(L,) as it is stated."""
+    """(L,) as it is stated: intensity times exposure."""
     files: Sequence[str]
-    exponent: float
-    """By shading, in colours."""
-    height: float
-    """Over half width, in colours."""
-    surface: FloatArray
-    """(h, w) height in mm on the pixels that are looked at."""
 
 
-def doubt_of_response(
-    observation: Observation, finger: Finger, encodings: bool = True
-) -> ResponseDoubt | None:
-    """What is wrong with a camera's response to light, the surest; `encodings`: whether to try
-    another encoding."""
+def doubt_of_response(observation: Observation, finger: Finger) -> Finding | None:
+    """What is wrong with a camera's response to light, the surest; it is sure where it spoils the
+    surface."""
     # pixels of the coarse images' longer side, at least
     every = max(1, max(observation.shape) // 300)
-    inside = np.zeros(observation.shape, dtype=np.bool_)
-    inside[finger.window] = finger.inside
-    inside = inside[::every, ::every]
-    # width of the rim beside the outline that is not used
-    core = erode(inside, 0.6 / (every * observation.rig.camera.pitch_mm))
-    responses: list[_Response] = []
-    for name in ("white", "nir"):
-        band = observation.bands.get(name)
-        if (
-            band is None
-            or band.colours
-            or len(band.lights) < 5  # lights from which the response is judged
-            or core.sum() < 1000  # pixels of the coarse images from which the response shows, in px
-        ):
+    responses: list[Response] = []
+    doubts: list[Finding] = []
+    surface: FloatArray | None = None
+    for band in observation.bands.values():  # white before NIR
+        if band.colours or len(band.lights) < 5:  # fewer do not show it
             continue
-        surface = responses[0].surface if responses else None
-        response = _response(band, inside, core, every, surface)
-        if isinstance(response, ResponseDoubt):
-            return response
+        blocks = in_blocks(band, finger.wider, finger.window, every)
+        # width of the rim beside the outline that is not used
+        core = erode(blocks.inside, 0.6 / (every * observation.rig.camera.pitch_mm))
+        if core.sum() < 1000:  # fewer do not show it, in px
+            continue
+        coloured = band.name == "white" and band.has_colour
+        stack = blocks.light.stack if coloured else blocks.light.grey[None]
+        light = stack[..., core]
+        if doubt := _doubt_of_values(band, light, finger, every):
+            return doubt
+        if surface is None:
+            surface = coarse_surface(stack.sum(axis=0), blocks)
+        towards = blocks.lights(surface)[..., core]
+        mean = towards.mean(axis=-1)
+        strength = np.asarray(np.linalg.norm(mean, axis=1), dtype=np.float64)
+        exposure = band.exposure if len(band.exposure) == len(strength) else 1.0
+        gains = image_gains(light, towards)
+        response = Response(gains, mean / strength[:, None], strength * exposure, band.image_names)
+        if (spread := colour_spread(gains)) > _COLOUR_SPREAD:
+            odd = int(np.argmax(np.abs(gains - gains.mean(axis=0)).max(axis=0)))
+            without = image_gains(np.delete(light, odd, axis=1), np.delete(towards, odd, axis=0))
+            sure = colour_spread(without) > _COLOUR_SPREAD
+            words = WHITE_BALANCE.format(100 * spread)
+            return Finding("white-balance", words, Severity.SPOILS if sure else Severity.DOUBT)
         responses.append(response)
+        if coloured:
+            equal = np.isnan(tone_exponent(responses)[0])
+            exponent = shading_exponent(light[1:], towards) if equal else 1.0
+            if not _SHADED_EXPONENTS[0] < exponent < _SHADED_EXPONENTS[1]:
+                doubts.append(Finding("tone-curve", TONE.format(exponent), Severity.DOUBT))
+            height = height_over_half_width(surface, blocks.inside, blocks.light.pitch_mm)
+            # below the first number the finger is not flat but hollow: lights in another order
+            if 0.1 < height < _FLAT_FINGER:
+                doubts.append(Finding("flat-finger", FLAT.format(height), Severity.DOUBT))
     if not responses:
         return None
-    doubt = _doubt_of_tone(responses, encodings)
-    if doubt is not None and encodings:
-        encoding = observation.other_encoding
-        if doubt_of_response(observation.as_if_stored(encoding), finger, encodings=False) is None:
-            words = ENCODING.format(observation.encoding, encoding)
-            return doubt._replace(
-                finding=replace(doubt.finding, code="other-encoding", message=words)
-            )
-    if doubt is None and "radiometry" in observation.rig.provenance:
-        for response in responses:
-            drift = drifted_light(response.gains, response.directions)
-            if drift is not None:
-                light, brightness = drift
-                file = response.files[light]
-                change = "darker" if brightness < 1 else "brighter"
-                words = DRIFTED.format(file, 100 * abs(brightness - 1), change)
-                finding = Finding("drifted-led", words, Severity.DOUBT, files=(file,))
-                return ResponseDoubt(finding, False)
-    return doubt
+    tone, t_value = tone_exponent(responses)
+    if abs(tone - 1) > _TONE_DOUBTED and abs(t_value) > _TONE_SURE:
+        # departure of the exponent from one that spoils the surface
+        severity = Severity.SPOILS if abs(tone - 1) > 0.1 else Severity.DOUBT
+        return Finding("tone-curve", TONE.format(tone), severity)
+    if "radiometry" in observation.rig.provenance:
+        doubts += [doubt for each in responses if (doubt := _drift(each))]
+    return doubts[0] if doubts else None
+
+
+def _drift(response: Response) -> Finding | None:
+    drift = drifted_light(response.gains.mean(axis=0), response.directions)
+    if drift is None:
+        return None
+    light, brightness = drift
+    file = response.files[light]
+    change = "darker" if brightness < 1 else "brighter"
+    words = DRIFTED.format(file, 100 * abs(brightness - 1), change)
+    return Finding("drifted-led", words, Severity.DOUBT, files=(file,))
 
 
 _BLUE_OVER_RED = 1.3
@@ -152,48 +150,17 @@ _COLOUR_SPREAD = 0.02
 Chosen on: simulated fingers (180 in all conditions). Range: 0.001 to 0.037."""
 
 
-def _response(
-    band: Light, inside: BoolArray, core: BoolArray, every: int, surface: FloatArray | None
-) -> _Response | ResponseDoubt:
-    """How a band's images answer to the light; a doubt where their colours or clipping show that
-    they do not. `surface`: as another band shows it."""
-    coloured = band.name == "white" and band.has_colour
-    channels = band.channels if coloured else ("grey",)
-    sampled = band.sampled(every)
-    stack = sampled.stack if coloured else sampled.grey[None]
-    light = stack[..., core]
-    if coloured and (blue := blue_over_red(light)) > _BLUE_OVER_RED:
-        return ResponseDoubt(Finding("swapped-colours", SWAPPED.format(blue), Severity.SPOILS))
-    clipped, image, colour = sampled.most_clipped(inside)
-    if clipped > _CLIPPED_FINGER:
-        file = band.image_names[image]
-        words = CLIPPED.format(100 * clipped, file, channels[colour] if coloured else "grey")
-        return ResponseDoubt(Finding("clipped-photograph", words, Severity.DOUBT, files=(file,)))
-    view = view_of(band.built.camera, along_rays=True)
-    pixels = (np.s_[::every],) * view.x_mm.ndim
-    view = View(view.x_mm[pixels], view.y_mm[pixels], view.apex_mm, view.along_rays)
-    if surface is None:
-        surface = _coarse_surface(stack.sum(axis=0), sampled, inside, view)
-    points = view.points(surface + _RESPONSE_PLANE_MM)
-    vectors = view.turned(light_vectors_at(band.rig, *points))
-    towards = vectors[..., core]
-    gains = image_gains(light, towards)
-    if (spread := colour_spread(gains)) > _COLOUR_SPREAD:
-        odd = int(np.argmax(np.abs(gains - gains.mean(axis=0)).max(axis=0)))
-        without = image_gains(np.delete(light, odd, axis=1), np.delete(towards, odd, axis=0))
-        finding = Finding("white-balance", WHITE_BALANCE.format(100 * spread), Severity.SPOILS)
-        return ResponseDoubt(finding, colour_spread(without) > _COLOUR_SPREAD)
-    mean = towards.mean(axis=-1)
-    strength = np.linalg.norm(mean, axis=1)
-    return _Response(
-        gains.mean(axis=0),
-        mean / strength[:, None],
-        strength * (band.exposure if len(band.exposure) == len(strength) else 1.0),
-        band.image_names,
-        shading_exponent(light[1:], towards) if coloured else float("nan"),
-        height_over_half_width(surface, inside, sampled.pitch_mm) if coloured else float("nan"),
-        surface,
-    )
+def _doubt_of_values(band: Light, light: FloatArray, finger: Finger, every: int) -> Finding | None:
+    """What colours (C, L, n), or clipping, show."""
+    if len(light) == 3 and (blue := blue_over_red(light)) > _BLUE_OVER_RED:
+        return Finding("swapped-colours", SWAPPED.format(blue), Severity.SPOILS)
+    clipped, image, colour = band.sampled(every).most_clipped(finger.wider[::every, ::every])
+    if clipped < _CLIPPED_FINGER:
+        return None
+    file = band.image_names[image]
+    channel = band.channels[colour] if len(light) == 3 else "grey"
+    words = CLIPPED.format(100 * clipped, file, channel)
+    return Finding("clipped-photograph", words, Severity.DOUBT, files=(file,))
 
 
 _TONE_DOUBTED = 0.07
@@ -203,52 +170,18 @@ unequal lights, 0.12 to 0.75 where a curve or light of 30 % was added. Chosen on
 _TONE_SURE = 7.0
 """Least t value of the exponent's departure from one. Chosen on: simulated fingers (126 under
 unequal lights)."""
-_SHADED_EXPONENTS = (0.85, 1.22)
-"""Exponents between which shading under equal lights is sound. Chosen on: simulated fingers (180 in
-all conditions)."""
+_SHADED_EXPONENTS = (0.86, 1.2)
+"""Exponents between which shading under equal lights is sound: 0.87 (wet) to 1.05 on 12 sound
+fingers in all conditions. Chosen on: simulated fingers. Range: 0.85 to 0.87, 1.05 to 1.24."""
 _FLAT_FINGER = 0.5
 """Height over half width below which a finger is too flat: 0.61 to 1.06 on 144 sound fingers, 0.63
 to 0.75 on path-traced ones, 0.34 to 0.45 with local contrast. Chosen on: simulated fingers (144,
 and path-traced ones). Range: 0.45 to 0.61."""
 
 
-def _doubt_of_tone(responses: Sequence[_Response], encodings: bool) -> ResponseDoubt | None:
-    """What contradicts a linear response: the lights' stated brightness, else shading, else the
-    finger's height."""
-    tone, sure = tone_exponent([response[:3] for response in responses])
-    # another encoding must fit well
-    if abs(tone - 1) > _TONE_DOUBTED and (abs(sure) > _TONE_SURE or not encodings):
-        # departure of the exponent from one that spoils the surface
-        severity = Severity.SPOILS if abs(tone - 1) > 0.1 else Severity.DOUBT
-        return ResponseDoubt(Finding("tone-curve", TONE.format(tone), severity))
-    exponent = responses[0].exponent
-    if np.isnan(tone) and (exponent < _SHADED_EXPONENTS[0] or exponent > _SHADED_EXPONENTS[1]):
-        return ResponseDoubt(Finding("tone-curve", TONE.format(exponent), Severity.DOUBT), False)
-    # height over half width below which the finger is not flat but hollow: lights in another order
-    if 0.1 < responses[0].height < _FLAT_FINGER:
-        return ResponseDoubt(
-            Finding("flat-finger", FLAT.format(responses[0].height), Severity.DOUBT), False
-        )
-    return None
-
-
-_RESPONSE_PLANE_MM = 1.0  # mean height of the skin above the finger plane, about
-
-
-def _coarse_surface(stack: FloatArray, sampled: Light, inside: BoolArray, view: View) -> FloatArray:
-    """Height (h, w) in mm by near-light photometric stereo."""
-    height_mm = np.zeros(inside.shape, dtype=np.float32)
-    for _ in range(2):
-        g = pseudo_normals(stack, sampled.rig, height_mm + _RESPONSE_PLANE_MM, inside, view=view)
-        z = np.maximum(g[..., 2], 0.15 * np.sqrt((g * g).sum(axis=-1)) + 1e-9)
-        height = poisson(-g[..., 0] / z, -g[..., 1] / z, inside) * sampled.pitch_mm
-        height_mm = np.nan_to_num(height).astype(np.float32)
-    return height_mm
-
-
 def image_gains(stack: FloatArray, vectors: FloatArray) -> Array:
-    """Logarithm (C, L) of each image's gain, in each colour, over what least squares predicts of
-    it; mean 0 by colour.
+    """Logarithm (C, L) of each image's gain, in each colour, as the forward model explains it,
+    beside what a tilt of the surface does: a pattern as the lights' x and y.
 
     Parameters
     ----------
@@ -257,67 +190,24 @@ def image_gains(stack: FloatArray, vectors: FloatArray) -> Array:
     vectors : (L, 3, n)
         Direction to each light times its irradiance, at each pixel (near lights on a coarse surface
         will do).
-
-    Returns
-    -------
-    (C, L)
-        NaN where too few pixels are lit. A pattern as the lights' x and y is seen as a tilt of the
-        surface, not here.
-
-    References
-    ----------
-    Y. Queau et al., "LED-based photometric stereo", JMIV 60 (2018), eq. 2.5, for the pixel's
-    equations.
     """
-    gains = np.full((len(stack), len(vectors)), np.nan)
-    for row, light in zip(gains, stack, strict=True):
-        predicted, lit = _fitted(light, vectors)
-        # fraction of a pixel's brightest light from which a light's gain is judged: below, attached
-        # shadows and light scattered in the skin matter more
-        judged = lit & (predicted > 0.5 * predicted.max(axis=0)) & (light > 0)
-        # pixels, at least, of which a gain is the median, in px
-        for k in np.flatnonzero(judged.sum(axis=1) >= 100):
-            row[k] = np.median(np.log(light[k, judged[k]] / predicted[k, judged[k]]))
-    return np.asarray(gains - gains.mean(axis=1, keepdims=True))
-
-
-def _fitted(light: FloatArray, vectors: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """What least squares predicts of light (L, n), and where it counts."""
-    # fraction of a pixel's brightest light from which a light counts in its fit
-    lit = light > 0.3 * light.max(axis=0)
-    return shading(solve(light, vectors, lit.astype(np.float32)), vectors), lit
+    logs = np.array([unequal(light, vectors).gains for light in stack])
+    return np.asarray(logs @ _beside_tilt(vectors.mean(axis=-1)))
 
 
 def colour_spread(gains: Array) -> float:
     """Standard deviation by which the gains (C, L) of :func:`image_gains` differ between colours; 0
     of one colour."""
-    return float(np.std(gains - gains.mean(axis=0))) if np.isfinite(gains).all() else 0.0
+    return float(np.std(gains - gains.mean(axis=0)))
 
 
-def tone_exponent(bands: Sequence[tuple[Array, Array, Array]]) -> tuple[float, float]:
-    """Exponent p of the camera's answer to light, value = light^p, and its t value against p = 1.
-
-    Parameters
-    ----------
-    bands : of (gains, directions, brightness)
-        (L,) gains as of :func:`image_gains`; (L, 3) directions to the lights; (L,) brightness of
-        their images as it is stated: intensity times exposure. One p is fitted to all bands.
-
-    Returns
-    -------
-    p, t
-        Its t value against p = 1, where brightness is stated to 0.2 % at best; NaN and 0 where the
-        lights are too nearly equal.
-    """
-    levels = [np.zeros(0)]
-    rests = [np.zeros(0)]
-    freedom = -1
-    for gains, directions, brightness in bands:
-        if len(gains) >= 5 and np.isfinite(gains).all():
-            beside = _beside_tilt(directions)
-            levels.append(beside @ np.log(brightness))
-            rests.append(beside @ gains)
-            freedom += len(gains) - 3
+def tone_exponent(bands: Sequence[Response]) -> tuple[float, float]:
+    """Exponent p of the camera's answer to light, value = light^p, fitted to all bands, and its t
+    value against p = 1, where brightness is stated to 0.2 % at best; NaN and 0 where the lights are
+    too nearly equal."""
+    levels = [_beside_tilt(band.directions) @ np.log(band.brightness) for band in bands]
+    rests = [band.gains.mean(axis=0) for band in bands]
+    freedom = sum(len(rest) - 3 for rest in rests) - 1
     level = np.concatenate(levels)
     rest = np.concatenate(rests)
     square = float(level @ level)
@@ -350,14 +240,11 @@ def drifted_light(gains: Array, directions: Array) -> tuple[int, float] | None:
     freedom = np.diag(beside)
     explained = rest**2 / freedom
     k = int(np.argmax(explained))
-    change = float(rest[k] / freedom[k])
-    total = float(rest @ rest)
-    error = np.sqrt((total - explained[k]) / max(len(gains) - 4, 1) / freedom[k])
-    # it explains most of all gains alone (gloss, shadows and scattering move several a little), by
-    # three standard errors
-    sure = explained[k] > 0.6 * total and abs(change) > 3.0 * error  # not where gains are NaN
+    change = float(np.exp(rest[k] / freedom[k]))
+    # it explains most of all gains alone: gloss, shadows and scattering move several a little
+    sure = explained[k] > 0.75 * float(rest @ rest)
     # change of a light's brightness from which it has drifted
-    return (k, float(np.exp(change))) if sure and abs(np.expm1(change)) > 0.03 else None
+    return (k, change) if sure and abs(change - 1) > 0.03 else None
 
 
 def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:
@@ -377,22 +264,13 @@ def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:
         flanks = np.flatnonzero(varied > np.quantile(varied, 0.6))
         # about so many pixels of the flanks are fitted
         flanks = flanks[:: max(1, len(flanks) // 700)]
-        residuals = [
-            _residual(light[:, flanks] ** np.float32(1 / p), vectors[..., flanks]) * p
+        misfits = [
+            p * unequal(light[:, flanks] ** np.float32(1 / p), vectors[..., flanks]).misfit
             for p in _EXPONENTS
         ]
-        place = refined_peak(-np.array(residuals), int(np.argmin(residuals)))
+        place = refined_peak(-np.array(misfits), int(np.argmin(misfits)))
         best.append(np.interp(place, np.arange(len(logs)), logs))
     return float(np.exp(np.mean(best)))
-
-
-def _residual(light: FloatArray, vectors: FloatArray) -> float:
-    """Median of each pixel's residual, relative to its light, once every image has its own gain."""
-    gains = np.nan_to_num(image_gains(light[None], vectors)[0])
-    equal = light / np.exp(gains).astype(np.float32)[:, None]
-    predicted, lit = _fitted(equal, vectors)
-    residual = (equal - predicted) * lit / np.maximum(predicted.mean(axis=0), 1e-6)
-    return float(np.median(np.sqrt((residual**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3, 1))))
 
 
 def height_over_half_width(height_mm: FloatArray, mask: BoolArray, pitch_mm: float) -> float:

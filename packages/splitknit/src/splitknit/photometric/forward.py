@@ -109,11 +109,27 @@ def hypotheses(images: FloatArray, lights: FloatArray) -> dict[str, Explanation]
     }
 
 
-def lamp_gains(images: FloatArray, lights: FloatArray) -> FloatArray:
-    """Brightness (L,) of each photograph's lamp over what `lights` state, geometric mean one, by
-    the hypothesis ``unequal``. Parameters as of :func:`fitted_gloss`."""
+def unequal(images: FloatArray, lights: FloatArray) -> Explanation:
+    """The hypothesis ``unequal`` of :func:`hypotheses` alone: each lamp has any brightness."""
     pixels, start = _some_pixels(images, lights)
-    return np.exp(pixels.solved(start, 20, gains=True).gains)
+    return pixels.solved(start, 20, gains=True)
+
+
+def misfits_by_light(fit: Explanation, images: FloatArray, lights: FloatArray) -> FloatArray:
+    """Misfit (L, L) of each photograph, of any brightness, under each light. Parameters as of
+    :func:`fitted_gloss`; of few pixels, those of the fit."""
+    pixels = _Pixels.of(images, lights)
+    residual, _, cosine, lit = pixels._residual(fit.normals, fit.lobe)
+    seen = lit.any(axis=0)
+    albedo = np.nanmedian(np.where(lit, residual, np.nan)[:, seen], axis=0)
+    expected = np.log(cosine[:, seen]) + albedo
+    misfits = []
+    for bright, reached in zip(pixels.brightness[:, seen], pixels.lit[:, seen], strict=True):
+        lit_here = reached | ~reached.any()
+        off = bright[lit_here] - expected[:, lit_here]
+        off -= np.median(off, axis=1, keepdims=True)
+        misfits.append(np.median(np.abs(off), axis=1))
+    return np.stack(misfits)
 
 
 def glossy_fit(images: FloatArray, lights: FloatArray, gloss: Explanation) -> FloatArray:

@@ -104,6 +104,9 @@ class LightPlaces:
     """rms distance of the glints from where the fit expects them."""
     ground_misfit: float | None
     """Relative (robust) deviation of the ground from a matt plane under these lights."""
+    off_stated: Array
+    """(L,) distance of each light's glints, or stated direction, from where the fit expects them,
+    in standard deviations."""
 
 
 def fit_places(
@@ -176,6 +179,7 @@ def fit_places(
         shared[-4:],
         _GLINT_SD_PX * float(np.sqrt((weight * glints**2).sum() / weight[glints != 0].sum())),
         ground_misfit,
+        np.linalg.norm(glints, axis=1),
     )
 
 
