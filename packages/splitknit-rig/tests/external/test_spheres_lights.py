@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from enrolled import words_of
+from enrolled import refusal_of, words_of
 from refusals import bad_input
 from splitknit_rig.calibration.sphere import (
     balls_of_mask,
@@ -105,3 +105,15 @@ def test_the_lights_of_a_chrome_ball_reconstruct_a_grey_one(folder, tmp_path, na
     middle = inside & (np.nan_to_num(ball[..., 2]) > np.cos(np.deg2rad(60)))
     errors = np.degrees(np.arccos(np.clip((normals * ball).sum(axis=-1)[middle], -1, 1)))
     assert errors.mean() < 4.5
+
+
+@pytest.mark.slow
+def test_a_coin_is_not_taken_for_a_chrome_ball(capsys, data_dir, tmp_path):
+    """It is the largest round thing in the picture, and balls lie beside it."""
+    path = data_dir / "dome" / "birr"
+    if not path.is_dir():
+        pytest.skip(f"{path} is absent")
+    out = tmp_path / "lights.txt"
+    words = "lights", "--images", path, "--sphere", "chrome", "--out", out
+    assert "seems to be no ball" in refusal_of(capsys, "calibrate", *words)
+    assert not out.exists()

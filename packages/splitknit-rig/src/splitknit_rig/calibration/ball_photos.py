@@ -225,6 +225,12 @@ def lights_of_ball(shown: BallPhotographs, base: Rig, out: Path | None) -> Light
         f"{some_of(left_out)}: the light stands beside or behind the ball; correct the outline or"
         " the image.",
     )
+    require(
+        bool(shown.outlines) or white is not None or 2 * len(left_out) < len(low),
+        f"the largest round thing, at x {balls[0].column:.0f}, y {balls[0].row:.0f} and of radius"
+        f" {balls[0].radius_px:.0f} px, shows a glint of {len(low) - len(left_out)} of {len(low)}"
+        " lights, and seems to be no ball; give the ball's outline, `ball`.",
+    )
     leds = [
         _led(k, photographs[k], measured, place, shown.led_height_cm)
         for k in np.flatnonzero(~low).tolist()
@@ -232,9 +238,13 @@ def lights_of_ball(shown: BallPhotographs, base: Rig, out: Path | None) -> Light
     of_rig, calibrated = zip(*leds, strict=True)
     findings += _notes(left_out, out, of_rig)
     origin = provenance({"sphere": kind, "balls": balls, "ground": shown.ground}, hashes)
-    lights = {"method": kind, "provenance": plain_json(origin)}
     camera = replace(camera, scale_known=camera.scale_known or near)  # of the list it is not read
-    rig = Rig(camera, of_rig, {**base.provenance, "lights": lights}, base.mirrors)
+    rig = Rig(
+        camera,
+        of_rig,
+        {**base.provenance, "lights": {"method": kind, "provenance": plain_json(origin)}},
+        base.mirrors,
+    )
     result = LightsOfBall(
         kind,
         calibrated,
