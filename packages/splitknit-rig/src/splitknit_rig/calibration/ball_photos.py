@@ -419,8 +419,8 @@ def place_on_plane(rig: Rig, ball: Ball, names: Sequence[str]) -> BallPlace:
     camera = rig.camera
     leds = {led_name(rig.leds, k): led for k, led in enumerate(rig.leds)}
     eye = None
-    radius = ball.radius_px / camera.px_per_mm
-    middle = np.append(plane_points(camera, np.array([[ball.column, ball.row]]))[0], radius)
+    middle = np.array(_on_ground(ball, camera))
+    radius = float(middle[2])
     if camera.model == "perspective":  # above the finger plane it is seen larger, and further out
         scale = camera.height_mm / (camera.height_mm + radius)
         middle, radius = middle * scale, radius * scale

@@ -53,6 +53,11 @@ class Tip:
     tip_px: tuple[float, float]  # column and row of its shadow's tip
 
     @property
+    def lit(self) -> tuple[str, int]:
+        """Band and number of the LED."""
+        return self.band, self.led
+
+    @property
     def name(self) -> str:
         """Such as ``white 3, nail 2``, for messages."""
         return f"{name_of_led(self.band, self.led)}, nail {self.nail}"
@@ -252,8 +257,8 @@ def by_circle(
             break
         height = min(measured, 0.6 * circle.height_mm)
     estimates = []
-    for band, led in dict.fromkeys((tip.band, tip.led) for tip in tips):
-        rows = [k for k, tip in enumerate(tips) if (tip.band, tip.led) == (band, led)]
+    for band, led in dict.fromkeys(tip.lit for tip in tips):
+        rows = [k for k, tip in enumerate(tips) if tip.lit == (band, led)]
         estimates.append(combine(band, led, positions[rows], circle))
     return tuple(estimates), measured if known_height_mm is None else known_height_mm
 

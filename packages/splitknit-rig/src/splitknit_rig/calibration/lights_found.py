@@ -184,7 +184,7 @@ def lights_of_tips(
         check_nails(tips, camera)
         by_hand, height = by_circle(tips, camera, circle, known_height_mm=rules.nail.height_mm)
         copied = copied_leds(tips, camera)
-        sound = [tip for tip in tips if (tip.band, tip.led) not in copied]
+        sound = [tip for tip in tips if tip.lit not in copied]
         if method == "joint":
             require(
                 positions > 1, "one nail position is there, but the joint fit needs two at least."
@@ -323,7 +323,7 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
         absent = [
             name_of_led(band, k)
             for k in range(LEDS_PER_BAND)
-            if (band, k) not in {(t.band, t.led) for t in tips}
+            if (band, k) not in {t.lit for t in tips}
         ]
         require(
             not absent,
@@ -331,7 +331,7 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
             " of a band that occurs needs its rows.",
         )
         for led in range(LEDS_PER_BAND):
-            present = [tip.nail for tip in tips if (tip.band, tip.led) == (band, led)]
+            present = [tip.nail for tip in tips if tip.lit == (band, led)]
             lost = [str(nail) for nail in nails if nail not in present]
             require(
                 len(present) >= min(2, len(nails)),
@@ -352,9 +352,8 @@ def copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
     copied = set()
     for i, j in combinations(range(len(tips)), 2):
         moved, apart = (float(np.linalg.norm(places[i] - places[j])) for places in (nails, ends))
-        same = (tips[i].band, tips[i].led) == (tips[j].band, tips[j].led)
-        if same and apart <= _COPY_MM and moved > _MOVE_MM:
-            copied.add((tips[i].band, tips[i].led))
+        if tips[i].lit == tips[j].lit and apart <= _COPY_MM and moved > _MOVE_MM:
+            copied.add(tips[i].lit)
     return copied
 
 

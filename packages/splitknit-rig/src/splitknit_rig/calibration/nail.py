@@ -68,9 +68,9 @@ class _NailModel:
     def __init__(self, tips: Sequence[Tip], camera: Camera, circle: Circle, nail: Nail) -> None:
         self.tips, self.camera, self.circle, self.nail = tuple(tips), camera, circle, nail
         nail_px, self.tip_px = pixels(tips)
-        self.names = list(dict.fromkeys((tip.band, tip.led) for tip in tips))
+        self.names = list(dict.fromkeys(tip.lit for tip in tips))
         """Band and number of the L LEDs."""
-        self.led_of = np.array([self.names.index((tip.band, tip.led)) for tip in tips])
+        self.led_of = np.array([self.names.index(tip.lit) for tip in tips])
         """(N,) index of the LED of each row."""
         places = [(tip.band, tip.nail) for tip in tips]
         stood = list(dict.fromkeys(places))
@@ -111,12 +111,16 @@ class _NailModel:
         leds, places, height, offsets = self.parts(x)
         tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / _TIP_SD_PX
         nail = (self._pixels(places, height) - self.places_px) / self.nail_sd_px
-        arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
-        out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self.circle_sd
+        out = self.outside(leds, offsets) / self.circle_sd
         up = (leds[:, 2] - circle.height_mm - offsets[3]) / self.circle_sd
         # a known height has a standard deviation of 1 mm
         known = [height - (self.nail.height_mm or 0.0)] if self.known else []
         return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self.circle_sd, known])
+
+    def outside(self, leds: Array, offsets: Array) -> Array:
+        """(L,) distance in mm by which LEDs stand outside the circle, negative inside."""
+        arms = leds[:, :2] - np.asarray(self.circle.centre_mm) - offsets[:2]
+        return np.linalg.norm(arms, axis=1) - self.circle.radius_mm - offsets[2]
 
     def _pixels(self, places: Array, height: float) -> Array:
         return pixels_of(self.camera, np.column_stack([places, np.full(len(places), height)]))
@@ -212,8 +216,7 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
                 _radius_95(block),
             )
         )
-    arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
-    off = np.abs(np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) > STRAY_LED_MM
+    off = np.abs(model.outside(leds, offsets)) > STRAY_LED_MM
     return JointFit(
         leds=tuple(estimates),
         nail_height_mm=height,

@@ -101,8 +101,11 @@ def films_to_file(
 
 def _series(capture: Capture) -> tuple[Light, Light]:
     """Light of the parallel and the crossed series, behind the films."""
-    near, far = (capture.bands[name] for name in ("white", "white_crossed"))
-    return Light(near, capture.rig, capture.encoding), Light(far, capture.rig, capture.encoding)
+    near, far = (
+        Light(capture.bands[name], capture.rig, capture.encoding)
+        for name in ("white", "white_crossed")
+    )
+    return near, far
 
 
 def _undone(image: FloatArray, films: Films) -> FloatArray:

@@ -299,22 +299,10 @@ _AMBIENT_PERCENT = 5.0
 """Limit of ambient light, relative to that of the LEDs."""
 
 
-def _ambient_light(images: CardImages) -> list[Finding]:
-    return [
-        Finding(
-            "ambient-light",
-            f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit"
-            f" {_AMBIENT_PERCENT:g} %); close the lid, for it changes from image to image.",
-        )
-        for band, fraction in images.ambient_percent.items()
-        if fraction is not None and fraction > _AMBIENT_PERCENT
-    ]
-
-
 def _findings(
     rig: Rig, images: CardImages, flat: FlatField, limit_percent: float
 ) -> tuple[Finding, ...]:
-    findings = _ambient_light(images)
+    findings = []
     for band, fraction in images.ambient_percent.items():
         if fraction is None:
             words = (
@@ -322,6 +310,12 @@ def _findings(
                 " counted as the LEDs'."
             )
             findings.append(Finding("no-ambient-image", words))
+        elif fraction > _AMBIENT_PERCENT:
+            words = (
+                f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit"
+                f" {_AMBIENT_PERCENT:g} %); close the lid, for it changes from image to image."
+            )
+            findings.append(Finding("ambient-light", words))
     for k, largest in enumerate(flat.largest_percent):
         if largest > 3 * limit_percent:
             words = (

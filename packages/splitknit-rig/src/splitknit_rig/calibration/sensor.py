@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import require
+from splitknit.imaging.pixels import srgb_light
 from splitknit.model import Array
 
 
@@ -55,8 +56,7 @@ def fit_response(
     """
     stored, times = _checked(values, exposure_s, name)
     departure, residual = _straightness(stored, times)
-    linear_light = np.where(stored <= 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
-    decoded_departure, decoded_residual = _straightness(linear_light, times)
+    decoded_departure, decoded_residual = _straightness(srgb_light(stored), times)
     residual = min(residual, decoded_residual)
     require(
         residual <= 0.01,
