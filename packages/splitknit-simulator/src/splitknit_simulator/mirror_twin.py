@@ -28,7 +28,7 @@ from splitknit_simulator.mirror_scene import MirrorScene
 from splitknit_simulator.mirror_view import ReflectedView, as_built, mirror_view
 from splitknit_simulator.rigs import mirror_rig, stop_y_mm
 from splitknit_simulator.scene import TwinSettings, places_truth, surface_truth, take_capture
-from splitknit_simulator.surface import Array
+from splitknit_simulator.surface import Array, soft_step
 
 
 def rig_with_mirrors(settings: TwinSettings) -> Rig:
@@ -44,11 +44,10 @@ def rig_with_mirrors(settings: TwinSettings) -> Rig:
         f"the rig has no {unknown[0] if unknown else ''} mirror; it has"
         f" {', '.join(names) or 'none'}: add it to the rig file, or leave out the rig.",
     )
-    leds = rig.leds if views.nir else tuple(led for led in rig.leds if led.band != "nir")
     mirrors = tuple(
         mirror for mirror in rig.mirrors if not views.names or mirror.name in views.names
     )
-    return replace(rig, leds=leds, mirrors=mirrors)
+    return replace(rig, leds=views.leds_of(rig), mirrors=mirrors)
 
 
 def poses_between_mirrors(ranges: PoseRanges, settings: TwinSettings, camera: Camera) -> PoseRanges:
@@ -130,8 +129,7 @@ def _bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinM
     across = u0 + skin.pitch_mm * np.arange(columns)
     beyond = np.maximum(v0 - skin.pitch_mm * np.arange(rows) - reach, 0.0)
     arc = np.hypot(across[None, :], beyond[:, None])
-    fraction = np.clip(0.5 - (arc - limit) / 3.0, 0.0, 1.0)  # ridges fade over 3 mm
-    fraction = fraction * fraction * (3.0 - 2.0 * fraction)
+    fraction = soft_step(0.5 - (arc - limit) / 3.0)  # ridges fade over 3 mm
     shaded = np.asarray(1.0 - fraction * (1.0 - pigment), dtype=np.float32)
     return replace(skin, coefficients=coefficients * fraction, pigment=shaded, u0_mm=u0, v0_mm=v0)
 

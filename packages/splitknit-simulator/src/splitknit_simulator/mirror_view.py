@@ -20,7 +20,7 @@ from splitknit_simulator.finger.raycast import (
 )
 from splitknit_simulator.light.lighting import Vectors
 from splitknit_simulator.rigs import SIDES, MirrorSettings
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import Array, SimulatedSurface, soft_step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +90,8 @@ class _Gate:
             inside = np.minimum(inside, qx * ex + qy * ey + qz * ez + distance)
         ahead = (crossing > 0.0) & (crossing < (1.0 if near else np.inf))
         soft = np.maximum(radius_mm * crossing, 1e-3) if near else 1e-3
-        fraction = np.clip(0.5 + 0.5 * inside / np.where(ahead, soft, 1.0), 0.0, 1.0)
-        return np.where(ahead, fraction * fraction * (3.0 - 2.0 * fraction), 0.0).astype(np.float32)
+        fraction = soft_step(0.5 + 0.5 * inside / np.where(ahead, soft, 1.0))
+        return np.where(ahead, fraction, 0.0).astype(np.float32)
 
     def _frame(self) -> tuple[Array, Array, list[tuple[Array, float]]]:
         """Middle, normal, and for every edge its inward direction and the middle's distance from
@@ -137,9 +137,7 @@ def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tup
     drawing."""
     drawn = []
     for mirror in mirrors:
-        rng = np.random.default_rng(
-            np.random.SeedSequence([seed, 0x3117, SIDES.index(mirror.name)])
-        )
+        rng = np.random.default_rng([seed, 0x3117, SIDES.index(mirror.name)])
         # larger turns (deg) and shifts (mm), about or along any axis, are cut
         turn = np.clip(views.turn_sd_deg * rng.standard_normal(3), -3.0, 3.0)
         shift = np.clip(views.shift_sd_mm * rng.standard_normal(3), -2.0, 2.0)

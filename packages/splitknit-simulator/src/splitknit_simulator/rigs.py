@@ -65,7 +65,7 @@ def built_rig(seed: int, *, scale: float = 1.0) -> Rig:
     """
     require(seed >= 0, f"seed must not be negative, but it is {seed}.")
     drawn = nominal_rig(scale)
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB1]))
+    rng = np.random.default_rng([seed, 0xB1])
     camera = _built_camera(drawn.camera, rng)
     shift = np.array([*(0.3 * _normal(rng, 2)), 0.0])  # the play of the camera's screws
     tilt_deg = 0.3 * _normal(rng, 2)  # 0.15 mm over a seat of 25 mm
@@ -265,6 +265,10 @@ class MirrorSettings(Checked):
             f" {list(self.names)}.",
         )
 
+    def leds_of(self, rig: Rig) -> tuple[Led, ...]:
+        """The rig's LEDs, without NIR ones where `nir` is false."""
+        return tuple(led for led in rig.leds if self.nir or led.band != "nir")
+
 
 # With mirrors, as it is drawn.
 
@@ -292,8 +296,8 @@ def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None) -> 
             [[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]]
         )
         camera = replace(camera, model="perspective", matrix=matrix)
-    leds = rig.leds if views.nir else tuple(led for led in rig.leds if led.band != "nir")
-    return replace(rig, camera=camera, leds=leds, mirrors=_nominal_mirrors(views, camera))
+    mirrors = _nominal_mirrors(views, camera)
+    return replace(rig, camera=camera, leds=views.leds_of(rig), mirrors=mirrors)
 
 
 def _nominal_mirrors(views: MirrorSettings, camera: Camera) -> tuple[Mirror, ...]:

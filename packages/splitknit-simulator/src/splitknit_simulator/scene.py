@@ -41,7 +41,7 @@ from splitknit_simulator.light.renderer import (
 )
 from splitknit_simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinOptics, SkinRanges
 from splitknit_simulator.rigs import MirrorSettings
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, soft_step
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,9 +244,8 @@ class Scene:
         # (H, 1) fraction of the light that reaches each row
         height = rig.camera.image_size[0]
         below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
-        fraction = np.clip(below, 0.0, 1.0)
-        smooth = fraction * fraction * (3.0 - 2.0 * fraction)
-        self.shade = (1.0 - settings.background.hand_shadow * smooth).astype(np.float32)[:, None]
+        shadow = settings.background.hand_shadow * soft_step(below)
+        self.shade = (1.0 - shadow).astype(np.float32)[:, None]
         self.films = films_of(settings, rig)
         self.scale = settings.sensor_scale or binning_scale(rig.camera)
         self.fall_off = fall_off(rig.camera) if rig.camera.shading else None
@@ -527,7 +526,7 @@ def films_of(settings: TwinSettings, rig: Rig) -> Films | None:
         not any(led.colour or led.also for led in rig.leds),
         "films stand before single white LEDs in the twin; leave out coloured LEDs, or films.kind.",
     )
-    rng = np.random.default_rng(np.random.SeedSequence([settings.rig_seed or 0, 0x57]))
+    rng = np.random.default_rng([settings.rig_seed or 0, 0x57])
     leds = [rig.leds[k] for k in members_of("white", rig, settings)]
     return mounted_films(settings.films, leds, rng)
 

@@ -18,6 +18,12 @@ WATER_INDEX = 1.333
 """Refractive index of water. Source: Hale and Querry 1973."""
 
 
+def soft_step(place: Array) -> Array:
+    """A cubic from 0 at `place` 0 and below to 1 at 1 and above, level at both ends."""
+    inside = np.clip(place, 0.0, 1.0)
+    return inside * inside * (3.0 - 2.0 * inside)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Film:
     """Water on the skin, seen from above."""

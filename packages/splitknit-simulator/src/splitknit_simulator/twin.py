@@ -179,7 +179,8 @@ def simulate_capture(
         settings if isinstance(settings, TwinSettings) else override(TwinSettings(), settings or {})
     )
     if settings.motion.amplitude_mm > 0:
-        capture, truth = _photograph_moving(seed, pattern, settings, impression, finger)
+        drawn = drawn_finger(seed, pattern, settings, impression, finger)
+        capture, truth = _photograph_moving(drawn, settings, [seed, impression])
     elif settings.between_mirrors:
         drawn = drawn_finger(seed, pattern, settings, impression, finger)
         capture, truth = photograph_between_mirrors(drawn, seed, settings)
@@ -231,7 +232,7 @@ def drawn_finger(
     if settings.films.kind == "leds":
         rig = with_crossed_leds(rig)
     finger = finger or draw_finger(seed, pattern)
-    person = np.random.default_rng(np.random.SeedSequence([seed, 0x51]))
+    person = np.random.default_rng([seed, 0x51])
     pose_seed, photo_seed = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)
     skin = settings.skin if isinstance(settings.skin, SkinOptics) else settings.skin.draw(person)
     pose = settings.pose
@@ -247,7 +248,7 @@ def photograph(
     skin: SkinOptics,
     seed: np.random.SeedSequence,
     *,
-    settings: TwinSettings | None = None,
+    settings: TwinSettings,
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
     """Photograph `surface`, on the pixels of `rig.camera`, under every LED of `rig`; `seed`: of
     background and noise.
@@ -256,7 +257,6 @@ def photograph(
     The truth's arrays by name: see ``docs/explain/simulator.md``. Raises BadInput if the surface
     does not fit the camera or is not in the picture.
     """
-    settings = settings or TwinSettings()
     require(
         surface.mask.shape == rig.camera.image_size,
         f"the surface has {surface.mask.shape} pixels, but the rig's camera has"
@@ -272,20 +272,16 @@ def photograph(
 
 
 def _photograph_moving(
-    seed: int,
-    pattern: str | None,
-    settings: TwinSettings,
-    impression: int,
-    finger: SimulatedFinger | None,
+    drawn: Drawn, settings: TwinSettings, seed: list[int]
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
-    """Photograph a finger that moves from shot to shot, the white band first.
+    """Photograph a drawn finger that moves from shot to shot, the white band first; `seed`: of
+    person and impression.
 
-    Finger and pose are those of :func:`lay_down` in the reference shot, the middle one of the first
-    band. The truth is that of this shot, ``motion_reference``; ``motion_*`` describe the motion,
-    and ``glare_*`` lie where each shot shows the finger. A band's ambient frame goes with its first
-    shot; coloured LEDs of one exposure with one place.
+    Its pose is that of the reference shot, the middle one of the first band. The truth is that of
+    this shot, ``motion_reference``; ``motion_*`` describe the motion, and ``glare_*`` lie where
+    each shot shows the finger. A band's ambient frame goes with its first shot; coloured LEDs of
+    one exposure with one place.
     """
-    drawn = drawn_finger(seed, pattern, settings, impression, finger)
     rig = drawn.rig
     members = {name: members_of(name, rig, settings) for name in bands_of(rig, settings)}
     groups = {
@@ -297,7 +293,7 @@ def _photograph_moving(
         for name, exposed in groups.items()
         for group in exposed
     ]
-    path_seed, slip_seed = np.random.SeedSequence([seed, impression, 0x53]).spawn(2)
+    path_seed, slip_seed = np.random.SeedSequence([*seed, 0x53]).spawn(2)
     reference = sum(name == shots[0][0] for name, _ in shots) // 2
     path = draw_path(np.random.default_rng(path_seed), len(shots), settings.motion, reference)
     moving = moving_finger(drawn.finger, drawn.pose, rig.camera, path, slip_seed)
@@ -357,18 +353,15 @@ class FingerScene:
     def __init__(
         self,
         seed: int,
-        pattern: str | None = None,
-        settings: TwinSettings | None = None,
+        pattern: str | None,
+        settings: TwinSettings,
         *,
         impression: int = 0,
-        finger: SimulatedFinger | None = None,
     ) -> None:
         """Lay a finger down, drawn as by :func:`simulate_capture`; `sensor` and `films` are not
         used here."""
-        settings = replace(settings or TwinSettings(), films=FilmSettings())
-        self.surface, drawn = lay_down(
-            seed, pattern, settings, impression=impression, finger=finger
-        )
+        settings = replace(settings, films=FilmSettings())
+        self.surface, drawn = lay_down(seed, pattern, settings, impression=impression)
         self.settings, self.rig, self.skin = settings, drawn.rig, drawn.skin
         self.camera, self.leds = drawn.rig.camera, drawn.rig.leds
         rng = np.random.default_rng(drawn.photo_seed.spawn(1)[0])

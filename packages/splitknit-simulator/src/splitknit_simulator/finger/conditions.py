@@ -20,7 +20,7 @@ from splitknit_simulator.finger.ridges import around, smooth_noise
 from splitknit_simulator.finger.skin_map import SkinMap, skin_map
 from splitknit_simulator.light.coat import draw_grains, stamp
 from splitknit_simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
-from splitknit_simulator.surface import Array, Coat, Film, SimulatedSurface
+from splitknit_simulator.surface import Array, Coat, Film, SimulatedSurface, soft_step
 
 KERATIN_INDEX = 1.55
 """Refractive index of the dry horny layer. Source: Duck 1990, Physical Properties of Tissue."""
@@ -139,8 +139,8 @@ def _scarred(
         across = -(u - cu) * np.sin(way) + (v - cv) * np.cos(way)
         across = across - bend * along**2 - 0.15 * np.sin(1.3 * along + wave)
         half = half_mm * np.clip(1.0 - (2.0 * along / length) ** 4, 0.0, 1.0)
-        inside = np.clip(0.5 + (half - np.abs(across)) / 0.12, 0.0, 1.0) * (half > 0.0)
-        fraction = np.maximum(fraction, inside * inside * (3.0 - 2.0 * inside))
+        inside = soft_step(0.5 + (half - np.abs(across)) / 0.12) * (half > 0.0)
+        fraction = np.maximum(fraction, inside)
         profile = np.exp(-0.5 * (across / max(half_mm, 0.1)) ** 2)
         lift = lift + rise * profile * (half > 0.0) * np.clip(half / half_mm, 0, 1)
     level = cv2.GaussianBlur(displacement, (0, 0), 0.5 / pitch)
@@ -187,8 +187,7 @@ def _water_level(
     # fraction
     noise = smooth_noise(rng, displacement.shape, 1.0 / pitch_mm)
     threshold = float(np.quantile(noise, 2.0 * severity))
-    patch = np.clip(0.5 + (threshold - noise) / 0.3, 0.0, 1.0)
-    patch = patch * patch * (3.0 - 2.0 * patch)
+    patch = soft_step(0.5 + (threshold - noise) / 0.3)
     return displacement + patch * (filled - displacement)
 
 

@@ -200,9 +200,7 @@ def draw_finger(
     Greiner 1991, Hand anthropometry of US Army personnel (breadth and length of the distal
     phalanx). Maeno et al. 1998; Misumi and Akiyoshi 1984 (ridge height).
     """
-    draws = [
-        np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0xF1]).spawn(3)
-    ]
+    draws = np.random.default_rng([seed, 0xF1]).spawn(3)
     if pattern is None:
         pattern = str(draws[0].choice(list(FREQUENCIES), p=list(FREQUENCIES.values())))
     if pattern == "loop":

@@ -197,9 +197,7 @@ def master_print(
     (576, 256)
     """
     settings = settings or MasterPrintSettings()
-    draws = [
-        np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0x9A17]).spawn(6)
-    ]
+    draws = np.random.default_rng([seed, 0x9A17]).spawn(6)
     if pattern == "loop":
         pattern = str(draws[5].choice(("left_loop", "right_loop")))
     require(

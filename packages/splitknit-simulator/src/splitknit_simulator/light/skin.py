@@ -378,11 +378,9 @@ class Profile:
         return np.interp(index, np.arange(601), values).astype(np.float32)
 
 
-def diffusion_profile(
-    scattering_per_mm: float, absorption_per_mm: float, walks: WalkTable | None = None
-) -> Profile:
+def diffusion_profile(scattering_per_mm: float, absorption_per_mm: float) -> Profile:
     """Return the profile of a medium with reduced scattering and absorption in 1/mm, by the shipped
-    table of walks or by another one.
+    table of walks.
 
     Raises BadInput if scattering is not positive, absorption is negative, or absorption is so weak
     (below 0.2 % of scattering) that walks longer than the table would matter. Wang, Jacques and
@@ -396,7 +394,7 @@ def diffusion_profile(
         ratio >= 0.002,
         f"absorption must be at least 0.2 % of scattering, but it is {100 * ratio:.3g} %.",
     )
-    counts, lengths = walks or load_walks()
+    counts, lengths = load_walks()
     return Profile(
         RADIUS_EDGES / scattering_per_mm, np.sum(counts * np.exp(-ratio * lengths), axis=1)
     )

@@ -142,14 +142,14 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
         seed >= 0 and number >= 1,
         "seeds of populations are not negative, and people are numbered from 1.",
     )
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D1, number]))
+    rng = np.random.default_rng([seed, 0xB0D1, number])
     man = bool(rng.random() < ranges.men)
     optics = ranges.optics.draw(rng)
     hand = _Hand(rng)
     print_seeds = np.random.SeedSequence([seed, 0xB0D2, number]).spawn(len(FINGERS))
     fingers = {}
     for place, name in enumerate(FINGERS):
-        own = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D3, number, place]))
+        own = np.random.default_rng([seed, 0xB0D3, number, place])
         side, digit = divmod(place, len(DIGITS))
         score = hand.score("pattern", place, 0.35, 0.25)
         pattern = _pattern_class(own, score, SIDES[side], DIGITS[digit])

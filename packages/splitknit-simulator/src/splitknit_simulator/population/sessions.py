@@ -126,9 +126,9 @@ def draw_impression(
     """
     seed, number, session = place
     require(session >= 1, f"sessions are numbered from 1, but this is {session}.")
-    day = np.random.default_rng(np.random.SeedSequence([seed, 0x5E51, number, session]))
+    day = np.random.default_rng([seed, 0x5E51, number, session])
     which = FINGERS.index(own.name)
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E52, number, which, session]))
+    rng = np.random.default_rng([seed, 0x5E52, number, which, session])
 
     def normal() -> float:
         return float(np.clip(rng.standard_normal(), -2.0, 2.0))
