@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from splitknit import Led
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.lighting import LED_RADIUS_MM, Patch, cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium, SkinOptics
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 # Patterns that a projector throws on the skin, and where they fall.
 

@@ -16,7 +16,7 @@ import structured_light
 from numpy.typing import NDArray
 from views import View
 
-from splitknit.model import BoolArray, Camera, FloatArray, Led
+from splitknit.model import Array, BoolArray, Camera, FloatArray, Led
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus
 from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings
 from splitknit_simulator.finger.finger import placement_of
@@ -34,7 +34,6 @@ from splitknit_simulator.light.lighting import LED_RADIUS_MM, cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium
 from splitknit_simulator.scene import TwinSettings
-from splitknit_simulator.surface import Array
 from splitknit_simulator.twin import drawn_finger
 
 SCALE = 0.4

@@ -16,7 +16,7 @@ from splitknit import Ambient, Band, Camera, Capture, Led, Rig, write_capture, w
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.targets import check_capture
-from splitknit.model import Films, PixelArray, Progress, no_progress
+from splitknit.model import Array, Films, PixelArray, Progress
 from splitknit.nominal import nominal_rig
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.calibration_set.bench import (
@@ -42,7 +42,7 @@ from splitknit_simulator.camera.lens import SightLines
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.films import reflected_through
 from splitknit_simulator.rigs import built_rig
-from splitknit_simulator.surface import Array
+from splitknit_simulator.surface import triple
 
 MARKER = "rig_true.json"
 BOARD = PrintedBoard(rows=6, columns=9, square_mm=3.0)
@@ -71,10 +71,10 @@ def bench_to_folder(
     out: Path,
     *,
     seed: int,
-    scale: float = 0.5,
-    photos: BenchPhotos | None = None,
-    overwrite: bool = False,
-    progress: Progress = no_progress,
+    scale: float,
+    photos: BenchPhotos,
+    overwrite: bool,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Photograph everything that calibrates the rig that person `seed` built.
 
@@ -84,7 +84,6 @@ def bench_to_folder(
     ``rig_true.json`` (what calibration should find). Raises BadInput if `out` holds something else,
     or numbers are out of range.
     """
-    photos = photos or BenchPhotos()
     check_capture(out, overwrite=overwrite, marker=MARKER, words="an earlier simulated bench")
     rig, drawn = built_rig(seed, scale=scale), nominal_rig(scale)
     count = photos.boards + photos.nails + 2 + 2 * photos.polarisers
@@ -344,7 +343,7 @@ def drawn_films(
     films = Films(
         leds=leds,
         leak=tuple(ball.leak(k) for k in leds),
-        brightness=tuple((float(r), float(g), float(b)) for r, g, b in tint),
+        brightness=tuple(map(triple, tint)),
         shift_px=(float(x), float(y)),
         scale=float(1.0 + rng.normal(0.0, 5e-4)),
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
-from splitknit.model import BoolArray, FloatArray, PixelArray
+from splitknit.model import Array, BoolArray, FloatArray, PixelArray
 from splitknit_simulator.light.lighting import (
     LED_RADIUS_MM,
     Patch,
@@ -44,7 +44,7 @@ from splitknit_simulator.scene import (
     brightest,
     finger_depth,
 )
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 
 def _light_through(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit import Camera, Capture, Mirror, Rig
 from splitknit.errors import require
-from splitknit.model import BoolArray
+from splitknit.model import Array, BoolArray
 from splitknit_simulator.camera.lens import picture_on_plane
 from splitknit_simulator.finger.finger import (
     FingerPose,
@@ -28,7 +28,7 @@ from splitknit_simulator.mirror_scene import MirrorScene
 from splitknit_simulator.mirror_view import ReflectedView, as_built, mirror_view
 from splitknit_simulator.rigs import mirror_rig, stop_y_mm
 from splitknit_simulator.scene import TwinSettings, places_truth, surface_truth, take_capture
-from splitknit_simulator.surface import Array, soft_step
+from splitknit_simulator.surface import soft_step
 
 
 def rig_with_mirrors(settings: TwinSettings) -> Rig:

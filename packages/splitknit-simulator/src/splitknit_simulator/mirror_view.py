@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit import Camera, Led, Mirror
 from splitknit.errors import require
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_simulator.camera.lens import pixels_of_points
 from splitknit_simulator.finger.raycast import (
     PlacedFinger,
@@ -20,7 +20,7 @@ from splitknit_simulator.finger.raycast import (
 )
 from splitknit_simulator.light.lighting import Vectors
 from splitknit_simulator.rigs import SIDES, MirrorSettings
-from splitknit_simulator.surface import Array, SimulatedSurface, soft_step
+from splitknit_simulator.surface import SimulatedSurface, soft_step, triple
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,9 +53,9 @@ class _Reflection:
         others = tuple(self.led(lamp, reflectance) for lamp in led.also)
         image = replace(led, intensity=led.intensity * reflectance, also=others, reflected=True)
         if led.position_mm is None:
-            return replace(image, direction=_triple(self.vectors(np.asarray(led.direction))))
-        position = _triple(self.points(np.asarray(led.position_mm)))
-        return replace(image, position_mm=position, aim=_triple(self.vectors(led.axis)))
+            return replace(image, direction=triple(self.vectors(np.asarray(led.direction))))
+        position = triple(self.points(np.asarray(led.position_mm)))
+        return replace(image, position_mm=position, aim=triple(self.vectors(led.axis)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,12 +144,8 @@ def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tup
         rotation = np.asarray(cv2.Rodrigues(np.deg2rad(turn))[0], dtype=np.float64)
         middle = mirror.point_mm
         corners = (np.asarray(mirror.corners_mm) - middle) @ rotation.T + middle + shift
-        drawn.append(replace(mirror, corners_mm=tuple(_triple(corner) for corner in corners)))
+        drawn.append(replace(mirror, corners_mm=tuple(map(triple, corners))))
     return tuple(drawn)
-
-
-def _triple(values: Array) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 # What a camera sees in a mirror: the surface of the reflected finger.

@@ -12,11 +12,10 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
-from splitknit.model import COLOURS
+from splitknit.model import COLOURS, Array
 from splitknit.nominal import (
     CROSSTALK,
     HALF_ANGLE_DEG,
@@ -26,8 +25,7 @@ from splitknit.nominal import (
     shared_exposures,
 )
 from splitknit.settings import Checked, Limits, check_fields
-
-Array = NDArray[np.float64]
+from splitknit_simulator.surface import triple
 
 _SIDE_ARC_DEG = (-25.0, 205.0)
 """Azimuths of the first and the last light to the side. Source: drawing, hardware/films.py."""
@@ -138,8 +136,8 @@ def _built_led(
     angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + 0.08 * half_angle)
     return replace(
         drawn,
-        position_mm=(float(position[0]), float(position[1]), float(position[2])),
-        aim=(float(aim[0]), float(aim[1]), float(aim[2])),
+        position_mm=triple(position),
+        aim=triple(aim),
         lobe_exponent=round(lobe_exponent(angle), 6),
         # one brightness bin spans a factor of 1.4; 5 % resistors add to it
         intensity=round(float(1.0 + 0.1 * intensity), 6),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from splitknit import Ambient, Band, Camera, Capture, Led, Rig
 from splitknit.capture import spectral_band
 from splitknit.errors import require
-from splitknit.model import COLOURS, FloatArray, PixelArray
+from splitknit.model import COLOURS, Array, FloatArray, PixelArray
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
@@ -341,7 +341,7 @@ class Scene:
         return max(levels)
 
     @property
-    def _mixing(self) -> NDArray[np.float64]:
+    def _mixing(self) -> Array:
         crosstalk = self.rig.camera.crosstalk
         return np.eye(3) if crosstalk is None else np.asarray(crosstalk)
 

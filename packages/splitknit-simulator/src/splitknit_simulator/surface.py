@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import Camera
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_simulator.camera.lens import SightLines, sight_lines
 
-Array = NDArray[np.float64]
 WATER_INDEX = 1.333
 """Refractive index of water. Source: Hale and Querry 1973."""
+
+
+def triple(values: Array) -> tuple[float, float, float]:
+    """Three numbers of an array (3,)."""
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 def soft_step(place: Array) -> Array:
@@ -38,10 +42,10 @@ class Film:
 class Grains:
     """Opaque grains that rest on the skin, as N discs in the picture."""
 
-    column: NDArray[np.float64]
-    row: NDArray[np.float64]
-    radius_px: NDArray[np.float64]
-    albedo: NDArray[np.float64]
+    column: Array
+    row: Array
+    radius_px: Array
+    albedo: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

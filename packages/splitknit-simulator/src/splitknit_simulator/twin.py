@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from splitknit import Capture, Rig, read_rig
 from splitknit.errors import require
 from splitknit.io.images import read_image
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.nominal import default_rig
 from splitknit.settings import override
 from splitknit_simulator.finger.conditions import conditioned_surface
@@ -325,7 +325,7 @@ def _photograph_moving(
     return take_capture(scene, photograph_band, noise_seed, truth), truth
 
 
-def _smear_kernel(length_px: NDArray[np.float64]) -> FloatArray:
+def _smear_kernel(length_px: Array) -> FloatArray:
     """(n, n) kernel of a straight path of `length_px` (columns, rows), its middle in the middle."""
     reach = int(np.ceil(np.abs(length_px).max() / 2)) + 1
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1))

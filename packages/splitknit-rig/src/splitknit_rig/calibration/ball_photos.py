@@ -33,8 +33,15 @@ from splitknit.photometric.places import (
     like_ground,
 )
 from splitknit_rig.calibration.light_sources import is_list, rig_without_leds, write_lights
-from splitknit_rig.calibration.lights import BANDS, led_name, led_of_file
-from splitknit_rig.calibration.lights_found import CalibratedLed, CalibratedLights, Point, point_of
+from splitknit_rig.calibration.lights import (
+    BANDS,
+    CalibratedLed,
+    Point,
+    led_name,
+    led_of_file,
+    point_of,
+)
+from splitknit_rig.calibration.lights_found import CalibratedLights
 from splitknit_rig.calibration.nail_photos import image_of_size, read_stack
 from splitknit_rig.calibration.sphere import (
     MIN_RIM_PX,

@@ -24,7 +24,7 @@ of the ISI 52(4), 1987.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -36,13 +36,14 @@ from splitknit.imaging.robust import cauchy
 from splitknit.imaging.view import pixels_of, plane_points
 from splitknit.model import Array
 from splitknit_rig.calibration.lights import (
+    CalibratedLed,
     Circle,
-    LedEstimate,
     Tip,
     by_circle,
     combine,
     nail_points,
     pixels,
+    point_of,
 )
 
 
@@ -120,7 +121,7 @@ class _NailModel:
     def outside(self, leds: Array, offsets: Array) -> Array:
         """(L,) distance in mm by which LEDs stand outside the circle, negative inside."""
         arms = leds[:, :2] - np.asarray(self.circle.centre_mm) - offsets[:2]
-        return np.linalg.norm(arms, axis=1) - self.circle.radius_mm - offsets[2]
+        return np.asarray(np.linalg.norm(arms, axis=1) - self.circle.radius_mm - offsets[2])
 
     def _pixels(self, places: Array, height: float) -> Array:
         return pixels_of(self.camera, np.column_stack([places, np.full(len(places), height)]))
@@ -130,7 +131,7 @@ class _NailModel:
 class JointFit:
     """All LEDs, and their uncertainty."""
 
-    leds: tuple[LedEstimate, ...]
+    leds: tuple[CalibratedLed, ...]
     nail_height_mm: float
     # (N, 2) tips found minus expected, columns and rows, in the order of the rows
     residual_px: Array
@@ -164,7 +165,12 @@ def _solve(model: _NailModel) -> OptimizeResult:
     height = float(np.clip(height, 0.6, model.top))
     places = nail_points(model.camera, model.places_px, height)
     x = np.concatenate(
-        [np.ravel([led.position_mm for led in first]), places.ravel(), [height], np.zeros(4)]
+        [
+            np.array([led.position_mm for led in first]).ravel(),
+            places.ravel(),
+            [height],
+            np.zeros(4),
+        ]
     )
     weights = np.ones(len(model.tips))
     # the weights sharpen step by step, so that a tip astray does not pull its neighbours' away
@@ -206,14 +212,12 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
         block = covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
         turn = (np.eye(3) - np.outer(unit, unit)) / np.linalg.norm(arm)
         estimates.append(
-            LedEstimate(
-                band,
-                led,
-                leds[k],
-                unit,
-                alone.disagreement_deg,
-                float(np.degrees(_radius_95(turn @ block @ turn.T))),
-                _radius_95(block),
+            replace(
+                alone,
+                direction=point_of(unit),
+                position_mm=point_of(leds[k]),
+                interval_deg=float(np.degrees(_radius_95(turn @ block @ turn.T))),
+                interval_mm=_radius_95(block),
             )
         )
     off = np.abs(model.outside(leds, offsets)) > STRAY_LED_MM

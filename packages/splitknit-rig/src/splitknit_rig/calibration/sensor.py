@@ -56,7 +56,8 @@ def fit_response(
     """
     stored, times = _checked(values, exposure_s, name)
     departure, residual = _straightness(stored, times)
-    decoded_departure, decoded_residual = _straightness(srgb_light(stored), times)
+    linear_light = np.asarray(srgb_light(stored), dtype=np.float64)
+    decoded_departure, decoded_residual = _straightness(linear_light, times)
     residual = min(residual, decoded_residual)
     require(
         residual <= 0.01,

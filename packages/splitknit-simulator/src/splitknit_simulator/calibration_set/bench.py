@@ -19,7 +19,7 @@ from scipy.special import ndtr
 
 from splitknit import Camera, Led
 from splitknit.errors import require
-from splitknit.model import FloatArray, PixelArray
+from splitknit.model import Array, FloatArray, PixelArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.lens import (
@@ -33,7 +33,6 @@ from splitknit_simulator.camera.lens import (
 )
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.lighting import irradiance
-from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ import numpy as np
 
 from splitknit import BadInput, Camera
 from splitknit.errors import require
+from splitknit.model import Array
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
     GroundScene,
@@ -21,7 +22,6 @@ from splitknit_simulator.calibration_set.bench import (
     steps,
 )
 from splitknit_simulator.camera.lens import px_per_mm_at
-from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

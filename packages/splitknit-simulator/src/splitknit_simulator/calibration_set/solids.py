@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit import Led
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
     Window,
@@ -26,7 +26,6 @@ from splitknit_simulator.calibration_set.bench import (
 )
 from splitknit_simulator.camera.lens import SightLines
 from splitknit_simulator.light.lighting import UNIT, irradiance
-from splitknit_simulator.surface import Array
 
 Lines = tuple[Array, Array]
 """Points (..., 3) and unit vectors (..., 3): normals of a mirror, or directions of rays."""

@@ -15,12 +15,9 @@ from numpy.typing import NDArray
 
 from splitknit import Camera
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 
-Array = NDArray[np.float64]
-
-
-Numbers = NDArray[np.float64] | NDArray[np.intp]
+Numbers = Array | NDArray[np.intp]
 
 
 class SightLines(NamedTuple):

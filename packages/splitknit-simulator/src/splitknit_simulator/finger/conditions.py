@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit import Camera
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint
@@ -20,7 +20,7 @@ from splitknit_simulator.finger.ridges import around, smooth_noise
 from splitknit_simulator.finger.skin_map import SkinMap, skin_map
 from splitknit_simulator.light.coat import draw_grains, stamp
 from splitknit_simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
-from splitknit_simulator.surface import Array, Coat, Film, SimulatedSurface, soft_step
+from splitknit_simulator.surface import Coat, Film, SimulatedSurface, soft_step
 
 KERATIN_INDEX = 1.55
 """Refractive index of the dry horny layer. Source: Duck 1990, Physical Properties of Tissue."""

@@ -11,8 +11,8 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
 from splitknit.errors import require
+from splitknit.model import Array
 from splitknit_simulator.finger.master_print import MasterPrint
-from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

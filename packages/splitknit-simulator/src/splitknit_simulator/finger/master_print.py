@@ -17,7 +17,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit_simulator.finger.ridges import (
     PATTERNS,
@@ -28,7 +28,6 @@ from splitknit_simulator.finger.ridges import (
     phase_singularities,
     smooth_noise,
 )
-from splitknit_simulator.surface import Array
 
 # Sweat pores: small dips along the crests of the ridges.
 
@@ -84,7 +83,7 @@ def _sample(image: FloatArray, x: Array, y: Array) -> Array:
     )
 
 
-def _thin(points: Array, order: NDArray[np.intp], distance: float) -> NDArray[np.bool_]:
+def _thin(points: Array, order: NDArray[np.intp], distance: float) -> BoolArray:
     """Greedy thinning: in a random order, a point survives if no survivor lies within
     `distance`."""
     rank = np.empty(len(points), dtype=np.intp)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import Camera
+from splitknit.model import Array
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.lens import pixels_of_points, sight_lines
 from splitknit_simulator.finger.deformation import Deformation, deformed, draw_deformation
@@ -27,7 +28,7 @@ from splitknit_simulator.finger.finger import (
 )
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.shape import FingerBody
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 _SHOT_S = 0.5
 """Time from shot to shot. Source: thesis, 14 photographs in 7 s."""

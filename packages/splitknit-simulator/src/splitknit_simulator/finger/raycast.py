@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from splitknit import Camera
 from splitknit.errors import require
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_simulator.camera.lens import SightLines, sight_lines
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import SkinMap
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 Triple = tuple[Array, Array, Array]
 

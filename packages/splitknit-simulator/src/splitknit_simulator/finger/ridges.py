@@ -18,8 +18,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from splitknit.errors import require
-from splitknit.model import FloatArray
-from splitknit_simulator.surface import Array
+from splitknit.model import Array, FloatArray
 
 Point = tuple[float, float]
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.ridges import smooth_noise
-from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True)

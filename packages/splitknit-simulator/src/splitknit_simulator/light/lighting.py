@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit import Camera, Led
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.camera.lens import px_per_mm_at, sight_lines
 from splitknit_simulator.light.skin import REFRACTIVE_INDEX, fresnel
 from splitknit_simulator.surface import SimulatedSurface
@@ -37,7 +37,7 @@ class Patch:
     """The surface inside the window, channels apart and contiguous, zero outside the mask."""
 
     window: tuple[slice, slice]
-    mask: NDArray[np.bool_]
+    mask: BoolArray
     x: FloatArray  # (h, w) mm
     y: FloatArray
     z: FloatArray

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit import Led
-from splitknit.model import FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.coat import CoatedPatch
 from splitknit_simulator.light.lighting import (
@@ -162,7 +162,7 @@ def render_ambient(
     level: float,
     skin: Medium,
     settings: RenderSettings | None = None,
-    up: NDArray[np.float64] | None = None,
+    up: Array | None = None,
 ) -> FloatArray:
     """(C, h, w) radiance of the finger in the window under a uniform hemisphere that gives a white
     card `level`.
@@ -313,7 +313,7 @@ class _Sheet:
         self,
         slope_x: FloatArray,
         slope_y: FloatArray,
-        mask: NDArray[np.bool_],
+        mask: BoolArray,
         inner: tuple[slice, ...],
     ) -> None:
         """Lay out skin (h', w') by its slopes; what is laid back is the part `inner` of it."""

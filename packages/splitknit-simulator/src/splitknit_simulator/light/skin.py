@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy.special import j1
 
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.settings import Checked, Limits
 
 Channel = Literal["red", "green", "blue", "nir"]
@@ -322,8 +322,8 @@ class WalkTable(NamedTuple):
 
     # (radii, lengths): fraction of all walks that leave at a radius and after a length within the
     # bins
-    counts: NDArray[np.float64]
-    lengths: NDArray[np.float64]  # (lengths,) mean length of the walks in each bin of lengths
+    counts: Array
+    lengths: Array  # (lengths,) mean length of the walks in each bin of lengths
 
 
 @lru_cache(maxsize=1)
@@ -340,8 +340,8 @@ class Profile:
     """The diffusion profile of one medium: light leaves ring k, between two radii, with weight
     `weights[k]`."""
 
-    radii_mm: NDArray[np.float64]  # (rings + 1,) edges of the rings
-    weights: NDArray[np.float64]  # (rings,) their sum is the albedo
+    radii_mm: Array  # (rings + 1,) edges of the rings
+    weights: Array  # (rings,) their sum is the albedo
 
     @property
     def albedo(self) -> float:
@@ -353,7 +353,7 @@ class Profile:
         inside = np.concatenate([[0.0], np.cumsum(self.weights)]) / self.albedo
         return float(np.interp(fraction, inside, self.radii_mm))
 
-    def transfer(self, cycles_per_mm: NDArray[np.floating]) -> NDArray[np.float64]:
+    def transfer(self, cycles_per_mm: NDArray[np.floating]) -> Array:
         """Fourier (Hankel) transform of the profile at a frequency, evenly spread within each ring.
 
         One ring between radii p and q has the transform 2 (q J1(kq) - p J1(kp)) / (k (q^2 - p^2)),

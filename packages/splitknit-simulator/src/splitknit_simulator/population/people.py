@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from splitknit.errors import require
+from splitknit.model import Array
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.finger import (
     TRAITS,
@@ -259,7 +259,7 @@ def _large_enough(settings: MasterPrintSettings, shape: FingerShape) -> MasterPr
 
 
 def _own_optics(rng: np.random.Generator, skin: SkinOptics, ranges: PeopleRanges) -> SkinOptics:
-    draws: NDArray[np.float64] = np.clip(rng.standard_normal(2), -2, 2)
+    draws: Array = np.clip(rng.standard_normal(2), -2, 2)
     # logarithmic standard deviations between a person's fingers
     blood = skin.blood * float(np.exp(0.10 * draws[0]))
     gain = skin.relief_gain * float(np.exp(0.05 * draws[1]))
