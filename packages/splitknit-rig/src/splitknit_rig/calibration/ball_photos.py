@@ -129,8 +129,8 @@ class _Measured:
     def is_low(self) -> BoolArray:
         """(L,) whether a light is too low to be used, or shows no highlight."""
         if self.places_mm is not None:
-            return np.asarray(~(self.places_mm[:, 2] >= 1.0))  # mm, the lowest of a list of lights
-        return np.asarray(~(self.directions[:, 2] > 0.05))
+            return ~(self.places_mm[:, 2] >= 1.0)  # mm, the lowest of a list of lights
+        return ~(self.directions[:, 2] > 0.05)
 
 
 def _by_fit(

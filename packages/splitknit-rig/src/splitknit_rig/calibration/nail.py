@@ -196,7 +196,7 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
     freedom = max(fit.fun.size - fit.x.size, 1)
     # where the residuals exceed their stated deviation
     wider = max(1.0, 2.0 * float(fit.cost) / freedom)
-    covariance = np.asarray(np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * wider)
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * wider
     estimates = []
     ends = plane_points(model.camera, model.tip_px)
     for k, (band, led) in enumerate(model.names):

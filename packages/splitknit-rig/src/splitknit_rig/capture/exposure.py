@@ -220,7 +220,7 @@ def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: flo
     def fine(picture: FloatArray) -> FloatArray:
         """Laplacian of Gaussian."""
         smooth = cv2.GaussianBlur(picture, (0, 0), sigma)
-        return np.asarray(cv2.Laplacian(smooth, cv2.CV_32F) * np.float32(sigma**2))
+        return cv2.Laplacian(smooth, cv2.CV_32F) * np.float32(sigma**2)
 
     detail = fine(relative)[inside]
     finest = cv2.filter2D(relative, cv2.CV_32F, _NOISE_MASK)

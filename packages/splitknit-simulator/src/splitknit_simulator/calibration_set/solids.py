@@ -482,7 +482,7 @@ def _led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
     offset = start + reach[..., None] * way - middle
     inwards = np.where(meets & (reach > 0.0), radius_mm - np.linalg.norm(offset, axis=-1), -1e3)
     ahead = led.intensity * UNIT / (np.pi * max(radius_mm, 1e-6) ** 2)
-    return inwards, np.asarray(ahead * np.maximum(cosine, 1e-3) ** (led.lobe_exponent - 1.0))
+    return inwards, ahead * np.maximum(cosine, 1e-3) ** (led.lobe_exponent - 1.0)
 
 
 RIM_SAMPLES = 12

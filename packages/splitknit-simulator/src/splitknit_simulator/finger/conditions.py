@@ -361,7 +361,7 @@ def _wet(
     for axis in (0, 1):
         down, right = np.gradient(np.where(mask, -normals[..., axis] / nz, 0.0))
         total += (down**2 + right**2) / 12.0
-    bend = np.asarray(np.minimum(0.5 * total, 0.25))
+    bend = np.minimum(0.5 * total, 0.25)
     # GGX alpha of a water surface at rest on skin: smooth but for what floats on it
     roughness = np.clip(np.sqrt(0.05**2 + 2.0 * bend), 0.0, 1.0).astype(np.float32)
     # GGX alpha of hydrated skin between drops; Dabrowska et al. 2016 found such skin smoother

@@ -258,7 +258,7 @@ class SubsurfaceScattering:
                 return
             smooth = self.spread(self._continued(_light_below(self.patch, below, leds[k], power)))
             for light, even, signal in zip(ridged, smooth, signals, strict=True):
-                yield np.asarray(even + np.float32(signal) * (light - even))
+                yield even + np.float32(signal) * (light - even)
 
         self._entering = entering
 
