@@ -44,7 +44,7 @@ from splitknit_simulator.scene import (
     brightest,
     finger_depth,
 )
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Window
 
 
 def _light_through(
@@ -238,9 +238,7 @@ class MirrorScene:
         return frame
 
 
-def _put(
-    frame: FloatArray, surface: SimulatedSurface, window: tuple[slice, slice], light: FloatArray
-) -> None:
+def _put(frame: FloatArray, surface: SimulatedSurface, window: Window, light: FloatArray) -> None:
     """Write the light of a finger (C, h, w) over `frame` (H, W, 3) where the finger is seen, in
     place."""
     colours = np.broadcast_to(np.moveaxis(light, 0, -1), frame[window].shape)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Camera, Capture, Mirror, Rig
 from splitknit.errors import require
@@ -28,7 +26,7 @@ from splitknit_simulator.mirror_scene import MirrorScene
 from splitknit_simulator.mirror_view import ReflectedView, as_built, mirror_view
 from splitknit_simulator.rigs import mirror_rig, stop_y_mm
 from splitknit_simulator.scene import TwinSettings, places_truth, surface_truth, take_capture
-from splitknit_simulator.surface import soft_step
+from splitknit_simulator.surface import Truth, soft_step
 
 
 def rig_with_mirrors(settings: TwinSettings) -> Rig:
@@ -72,7 +70,7 @@ class Drawn:
 
 def photograph_between_mirrors(
     drawn: Drawn, seed: int, settings: TwinSettings
-) -> tuple[Capture, dict[str, NDArray[Any]]]:
+) -> tuple[Capture, Truth]:
     """Photograph a finger between the mirrors of a rig under every LED; the truth's arrays:
     ``docs/explain/simulator.md``.
 
@@ -152,14 +150,10 @@ def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None
 # What the twin knows of a finger between mirrors: the views, the true mirrors, the skin all around.
 
 
-def _view_truth(
-    views: Sequence[ReflectedView], masks: Sequence[BoolArray]
-) -> dict[str, NDArray[Any]]:
+def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> Truth:
     """The true mirrors, and what each view shows where `masks` (H, W) leave it visible: behind its
     mirror."""
-    truth: dict[str, NDArray[Any]] = {
-        "mirror_names": np.array([view.mirror.name for view in views])
-    }
+    truth: Truth = {"mirror_names": np.array([view.mirror.name for view in views])}
     for view, mask in zip(views, masks, strict=True):
         mirror, surface = view.mirror, view.surface
         arrays = {
@@ -181,9 +175,7 @@ def _view_truth(
     return truth
 
 
-def _body_truth(
-    body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm: float
-) -> dict[str, NDArray[Any]]:
+def _body_truth(body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm: float) -> Truth:
     """The whole finger on a grid of places along it and angles around it, in the rig's frame.
 
     Rows are evenly spaced along the finger's axis, from behind the first crease to the tip; columns

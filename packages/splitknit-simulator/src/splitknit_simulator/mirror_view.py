@@ -20,7 +20,7 @@ from splitknit_simulator.finger.raycast import (
 )
 from splitknit_simulator.light.lighting import Vectors
 from splitknit_simulator.rigs import SIDES, MirrorSettings
-from splitknit_simulator.surface import SimulatedSurface, soft_step, triple
+from splitknit_simulator.surface import SimulatedSurface, Window, soft_step, triple
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +155,7 @@ def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tup
 class Coverage:
     """How much of each pixel something flat covers."""
 
-    window: tuple[slice, slice]  # rows and columns of the frame; empty where it lies outside
+    window: Window  # rows and columns of the frame; empty where it lies outside
     fraction: FloatArray  # (h, w) inside the window, 0 to 1
 
 
@@ -242,9 +242,7 @@ _SHOWN_PROXIMAL_MM = 32.0
 """From the first crease towards the palm, where the hand's sleeve begins."""
 
 
-def _surface(
-    finger: PlacedFinger, camera: Camera, box: tuple[slice, slice], workers: int
-) -> SimulatedSurface:
+def _surface(finger: PlacedFinger, camera: Camera, box: Window, workers: int) -> SimulatedSurface:
     """The first points of a placed finger on the rays of a part of the camera's pixels."""
     body, placement = finger.body, finger.placement
     shape = body.shape

@@ -41,7 +41,7 @@ from splitknit_simulator.light.renderer import (
 )
 from splitknit_simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinOptics, SkinRanges
 from splitknit_simulator.rigs import MirrorSettings
-from splitknit_simulator.surface import SimulatedSurface, soft_step
+from splitknit_simulator.surface import SimulatedSurface, Truth, soft_step
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,10 +165,10 @@ class TwinSettings(Checked):
 # What is known about a capture, as plain arrays by name.
 
 
-def surface_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
+def surface_truth(surface: SimulatedSurface) -> Truth:
     """Heights, normals, mask, relief and landmarks; of a perspective camera also the points' x and
     y, and its lens."""
-    truth: dict[str, NDArray[Any]] = {
+    truth: Truth = {
         "height_mm": surface.height_mm,
         "shape_mm": surface.shape_mm,
         "mask": surface.mask,
@@ -184,7 +184,7 @@ def surface_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
     return truth | _flat("landmark", surface.landmarks)
 
 
-def places_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
+def places_truth(surface: SimulatedSurface) -> Truth:
     """(H, W) x and y of the skin's points under a perspective camera; the grid gives the others."""
     if surface.camera.model == "orthographic":
         return {}
@@ -192,11 +192,11 @@ def places_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
     return {"x_mm": x.astype(np.float32), "y_mm": y.astype(np.float32)}
 
 
-def optics_truth(skin: SkinOptics) -> dict[str, NDArray[Any]]:
+def optics_truth(skin: SkinOptics) -> Truth:
     """Return the coefficients by channel, in the order red, green, blue, NIR, and the parameters
     they come from."""
     media = [skin.channel(channel) for channel in CHANNELS]
-    truth: dict[str, NDArray[Any]] = {
+    truth: Truth = {
         "optics_channels": np.array(CHANNELS),
         "optics_scattering_per_mm": np.array([m.scattering_per_mm for m in media]),
         "optics_absorption_per_mm": np.array([m.absorption_per_mm for m in media]),
@@ -205,9 +205,9 @@ def optics_truth(skin: SkinOptics) -> dict[str, NDArray[Any]]:
     return truth | _flat("skin", asdict(skin))
 
 
-def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+def _flat(prefix: str, values: Mapping[str, Any]) -> Truth:
     """One array for each entry; what is inside mappings and lists of arrays gets longer names."""
-    result: dict[str, NDArray[Any]] = {}
+    result: Truth = {}
     for key, value in values.items():
         name = f"{prefix}_{key}"
         if isinstance(value, Mapping):
@@ -535,7 +535,7 @@ def take_capture(
     scene: Scene,
     photograph: Callable[[str, np.random.SeedSequence], Taken],
     seed: np.random.SeedSequence,
-    truth: dict[str, NDArray[Any]],
+    truth: Truth,
 ) -> Capture:
     """Photograph every band of a scene's rig; glare, exposures, optics and LEDs are added to
     `truth`."""

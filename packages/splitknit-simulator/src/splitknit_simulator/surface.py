@@ -13,6 +13,10 @@ from splitknit import Camera
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_simulator.camera.lens import SightLines, sight_lines
 
+Window = tuple[slice, slice]
+"""Rows and columns of a part of a picture."""
+Truth = dict[str, NDArray[Any]]
+"""What the twin knows, arrays by name: see ``docs/explain/simulator.md``."""
 WATER_INDEX = 1.333
 """Refractive index of water. Source: Hale and Querry 1973."""
 
@@ -66,7 +70,7 @@ class Coat:
     # for each channel: diffuse reflectance of the affected skin over that of the rest
     tint: Mapping[str, float] = field(default_factory=dict)
 
-    def truth(self) -> dict[str, NDArray[Any]]:
+    def truth(self) -> Truth:
         """Arrays by name for the capture's truth."""
         return {
             "condition_kind": np.array(self.kind),
@@ -116,7 +120,7 @@ class SimulatedSurface:
     coat: Coat | None = None  # what lies on the skin; None where it is clean and bare
     texture: Texture | None = None  # mottled blood and patches of sweat; None: even
 
-    def sight(self, window: tuple[slice, slice] = (slice(None), slice(None))) -> SightLines:
+    def sight(self, window: Window = (slice(None), slice(None))) -> SightLines:
         """Lines of sight of the pixels in these rows and columns; the skin's points lie on them."""
         rows, columns = (
             np.arange(size)[part] for size, part in zip(self.mask.shape, window, strict=True)

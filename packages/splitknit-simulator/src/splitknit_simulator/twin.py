@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from splitknit import Capture, Rig, read_rig
 from splitknit.errors import require
 from splitknit.io.images import read_image
-from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray, GreyArray
 from splitknit.nominal import default_rig
 from splitknit.settings import override
 from splitknit_simulator.finger.conditions import conditioned_surface
@@ -56,7 +56,7 @@ from splitknit_simulator.scene import (
     surface_truth,
     take_capture,
 )
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Truth, Window
 
 
 def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:
@@ -115,13 +115,13 @@ def master_of_print_file(
     return master_of_print(grey[:, ::-1] if mirrored else grey, seed, settings=settings)
 
 
-def _grey_print(path: Path) -> NDArray[np.uint8]:
+def _grey_print(path: Path) -> GreyArray:
     pixels = read_image(path)
     grey = pixels if pixels.ndim == 2 else pixels.mean(axis=-1)
     return np.asarray(grey / (np.iinfo(pixels.dtype).max / 255), np.uint8)
 
 
-def _inked(grey: NDArray[np.uint8]) -> BoolArray:
+def _inked(grey: GreyArray) -> BoolArray:
     """Where a print has ridges or the valleys between them; strokes thinner than 1 mm are left
     out."""
     dark = cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
@@ -142,7 +142,7 @@ def simulate_capture(
     *,
     impression: int = 0,
     finger: SimulatedFinger | None = None,
-) -> tuple[Capture, dict[str, NDArray[Any]]]:
+) -> tuple[Capture, Truth]:
     """Simulate one capture of one person's finger.
 
     Parameters
@@ -249,7 +249,7 @@ def photograph(
     seed: np.random.SeedSequence,
     *,
     settings: TwinSettings,
-) -> tuple[Capture, dict[str, NDArray[Any]]]:
+) -> tuple[Capture, Truth]:
     """Photograph `surface`, on the pixels of `rig.camera`, under every LED of `rig`; `seed`: of
     background and noise.
 
@@ -273,7 +273,7 @@ def photograph(
 
 def _photograph_moving(
     drawn: Drawn, settings: TwinSettings, seed: list[int]
-) -> tuple[Capture, dict[str, NDArray[Any]]]:
+) -> tuple[Capture, Truth]:
     """Photograph a drawn finger that moves from shot to shot, the white band first; `seed`: of
     person and impression.
 
@@ -299,7 +299,7 @@ def _photograph_moving(
     moving = moving_finger(drawn.finger, drawn.pose, rig.camera, path, slip_seed)
     background_seed, noise_seed = drawn.photo_seed.spawn(2)
     lit: dict[str, list[Shot]] = {}
-    truth: dict[str, NDArray[Any]] = {}
+    truth: Truth = {}
     # tremor blurs a shot during its exposure of 0.02 s
     exposed_px = 0.02 * rig.camera.px_per_mm
     for number, ((name, leds), surface) in enumerate(
@@ -366,7 +366,7 @@ class FingerScene:
         self.camera, self.leds = drawn.rig.camera, drawn.rig.leds
         rng = np.random.default_rng(drawn.photo_seed.spawn(1)[0])
         self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
-        self._bands: dict[str, tuple[tuple[slice, slice], HalfArray]] = {}
+        self._bands: dict[str, tuple[Window, HalfArray]] = {}
         """Window, and planes (L, C, h, w) of diffuse light and glare, C = 3 (white) or 1 (NIR);
         half floats, whose steps are a tenth of the noise."""
         self._room: FloatArray | None = None
@@ -396,13 +396,13 @@ class FingerScene:
             )
         return scene.through_lens(frame)
 
-    def truth(self) -> dict[str, NDArray[Any]]:
+    def truth(self) -> Truth:
         """Arrays by name: heights, normals, mask, landmarks and optics, see
         ``docs/explain/simulator.md``."""
         intensities = {"led_intensity": np.array([led.intensity for led in self.leds])}
         return surface_truth(self.surface) | optics_truth(self.skin) | intensities
 
-    def _rendered(self, name: str) -> tuple[tuple[slice, slice], HalfArray]:
+    def _rendered(self, name: str) -> tuple[Window, HalfArray]:
         if name not in self._bands:
             require(name in BAND_CHANNELS, f"the twin's LEDs are white or nir, not '{name}'.")
             light = self._scene.render(name, [led for led in self.leds if led.band == name])

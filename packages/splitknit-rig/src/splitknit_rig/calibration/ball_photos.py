@@ -20,7 +20,7 @@ from splitknit.imaging.view import plane_points
 from splitknit.io.photograph_files import natural_order, some_of
 from splitknit.io.photos import FORMATS, SUFFIXES, encoding_of, read_photo
 from splitknit.io.provenance import file_hash, plain_json, provenance
-from splitknit.model import Array, BoolArray, FloatArray, camera_without_scale
+from splitknit.model import Array, BoolArray, FloatArray, Point, camera_without_scale
 from splitknit.nominal import side_lights
 from splitknit.photometric.forward import matt_misfit
 from splitknit.photometric.places import (
@@ -36,7 +36,6 @@ from splitknit_rig.calibration.light_sources import is_list, rig_without_leds, w
 from splitknit_rig.calibration.lights import (
     BANDS,
     CalibratedLed,
-    Point,
     led_name,
     led_of_file,
     point_of,

@@ -29,9 +29,8 @@ from splitknit import Camera, Led
 from splitknit.errors import refusing, require
 from splitknit.imaging.view import plane_points
 from splitknit.io.csv_table import csv_text
-from splitknit.model import Array
+from splitknit.model import Array, Point
 
-Point = tuple[float, float, float]
 BANDS = ("white", "nir")
 LEDS_PER_BAND = 7
 """Source: the thesis's rig of seven white and seven NIR LEDs."""

@@ -199,7 +199,7 @@ class Focus:
     snr: float  # variance of the detail over that of the noise
 
 
-def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: float) -> Focus:
+def measure_focus(image: FloatArray, region: BoolArray, px_per_mm: float) -> Focus:
     """Focus of one picture (H, W) of linear light in the finger's `region` (H, W), without its
     outline: the variance of the Laplacian of Gaussian of the relative brightness, minus that of the
     noise, measured at the finest scale, where blurred skin has almost no contrast. Source:

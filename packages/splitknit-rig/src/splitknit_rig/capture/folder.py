@@ -56,9 +56,7 @@ def capture_to_folder(
     check_capture(out, overwrite=options.overwrite)
     with atomic_folder(out, overwrite=options.overwrite) as target:
         session = run_session(
-            devices.camera,
-            devices.lights,
-            devices.rig,
+            devices,
             options.settings,
             turn=devices.turn or options.turn,
             progress=lambda stage, fraction: progress(stage, 0.8 * fraction),

@@ -18,7 +18,6 @@ from splitknit.errors import require
 from splitknit.model import Array, FloatArray
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
-    Window,
     card_radiance,
     edge_coverage,
     seen_at,
@@ -26,6 +25,7 @@ from splitknit_simulator.calibration_set.bench import (
 )
 from splitknit_simulator.camera.lens import SightLines
 from splitknit_simulator.light.lighting import UNIT, irradiance
+from splitknit_simulator.surface import Window
 
 Lines = tuple[Array, Array]
 """Points (..., 3) and unit vectors (..., 3): normals of a mirror, or directions of rays."""

@@ -17,7 +17,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from splitknit.errors import require
-from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray, GreyArray
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit_simulator.finger.ridges import (
     PATTERNS,
@@ -324,7 +324,7 @@ def ridge_profile(
 
 
 def master_of_print(
-    image: NDArray[np.uint8], seed: int = 0, settings: MasterPrintSettings | None = None
+    image: GreyArray, seed: int = 0, settings: MasterPrintSettings | None = None
 ) -> MasterPrint:
     """The master print of a finger that left a real print: its own forks, breaks, scars, pores and
     widths.
@@ -406,7 +406,7 @@ _PAD_CENTRE_MM = 13.5
 contact of :func:`ink_print`, 3 to 24 mm."""
 
 
-def ink_print(master: MasterPrint, *, half_width_mm: float = 7.5) -> NDArray[np.uint8]:
+def ink_print(master: MasterPrint, *, half_width_mm: float = 7.5) -> GreyArray:
     """Print the distal pad as ink on paper: mirrored against the skin frame, ridges dark, 8 bit,
     500 pixels an inch.
 

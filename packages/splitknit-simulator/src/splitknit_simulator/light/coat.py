@@ -12,7 +12,6 @@ from splitknit import Camera, Led
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_simulator.light.lighting import (
     Patch,
-    Values,
     Vectors,
     angular_size,
     dot,
@@ -130,7 +129,7 @@ class CoatedPatch:
         window = patch.window
         self.patch = patch
         self.fraction, self.tint = coat.fraction[window], coat.tint
-        self.across: Values | float = (
+        self.across: FloatArray | float = (
             roughness if coat.roughness is None else coat.roughness[window]
         )
         self.lengthwise = None if coat.roughness_along is None else coat.roughness_along[window]
@@ -189,8 +188,8 @@ class CoatedPatch:
         return sums[0], sums[1], sums[2]
 
     def _lit(
-        self, light: Vectors, strength: Values, size: float, glare: float
-    ) -> tuple[Values, Values, Values]:
+        self, light: Vectors, strength: FloatArray, size: float, glare: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         patch = self.patch
         cosine = np.maximum(dot(light, patch.normal), 0.0)
         entering = strength * cosine * (1.0 - fresnel(cosine))
@@ -235,7 +234,7 @@ class CoatedPatch:
         )
         return entering, gloss, extra
 
-    def _under_water(self, light: Vectors, strength: Values, normal: Vectors) -> Any:
+    def _under_water(self, light: Vectors, strength: FloatArray, normal: Vectors) -> Any:
         """Light that enters the skin below the water's surface.
 
         The flux through the surface goes on in the refracted direction; the skin's facet takes its

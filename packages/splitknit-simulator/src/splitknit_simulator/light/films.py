@@ -255,9 +255,7 @@ def reflected_through(
     return np.asarray(passed)
 
 
-def fresnel_amplitudes(
-    cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX
-) -> tuple[Array, Array]:
+def fresnel_amplitudes(cosine: FloatArray, ratio: float = REFRACTIVE_INDEX) -> tuple[Array, Array]:
     """Signed amplitudes of the field across (s) and along (p) the plane of incidence, light from
     the thinner medium."""
     c = np.asarray(cosine, dtype=np.float64)

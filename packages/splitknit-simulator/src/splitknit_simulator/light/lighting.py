@@ -15,14 +15,13 @@ from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.camera.lens import px_per_mm_at, sight_lines
 from splitknit_simulator.light.skin import REFRACTIVE_INDEX, fresnel
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Window
 
 UNIT = 1e4
 """Square of the distance, in mm, at which an LED of intensity one gives the irradiance one. Source:
 definition of an LED's intensity."""
 
 
-Values = NDArray[np.floating]
 Vectors = Any
 """x, y and z: arrays or numbers that broadcast together."""
 
@@ -36,7 +35,7 @@ def dot(a: Vectors, b: Vectors) -> Any:
 class Patch:
     """The surface inside the window, channels apart and contiguous, zero outside the mask."""
 
-    window: tuple[slice, slice]
+    window: Window
     mask: BoolArray
     x: FloatArray  # (h, w) mm
     y: FloatArray
@@ -62,7 +61,7 @@ class Patch:
         return 1.0 / self.px_per_mm
 
 
-def finger_window(surface: SimulatedSurface) -> tuple[slice, slice]:
+def finger_window(surface: SimulatedSurface) -> Window:
     """Rows and columns of the finger's bounding box, eight pixels wider each way inside the
     frame."""
     lines = [np.flatnonzero(surface.mask.any(axis=axis)) for axis in (1, 0)]
@@ -162,7 +161,9 @@ _NOTHING_MM = -1e3
 LED_RADIUS_MM = 1.5  # of the emitting face, which widens the specular reflection
 
 
-def arriving(patch: Patch, led: Led, radius_mm: float = LED_RADIUS_MM) -> tuple[Vectors, Values]:
+def arriving(
+    patch: Patch, led: Led, radius_mm: float = LED_RADIUS_MM
+) -> tuple[Vectors, FloatArray]:
     """As :func:`towards` for the points of a patch, what shadows take of the light taken away.
 
     The way to a light that stands low is followed over the surface: where it is below it, the light
@@ -214,12 +215,12 @@ def reflected(
     normal: Vectors,
     light: Vectors,
     view: Vectors,
-    across: Values | float,
+    across: FloatArray | float,
     *,
     index: float = REFRACTIVE_INDEX,
     along: Vectors | None = None,
-    roughness_along: Values | float | None = None,
-) -> Values:
+    roughness_along: FloatArray | float | None = None,
+) -> FloatArray:
     """(h, w) radiance towards `view` per unit of irradiance that a surface facing the light
     receives: D G F / (4 n.v).
 
@@ -239,7 +240,7 @@ def reflected(
     nl = np.maximum(nl, 1e-4)
     first = across if along is None or roughness_along is None else roughness_along
 
-    def squashed(direction: Vectors, cosine: Values, power: int) -> Values:
+    def squashed(direction: Vectors, cosine: FloatArray, power: int) -> FloatArray:
         """Sum of the squared tangential parts of a direction, times (or over) the squared
         roughnesses."""
         sine = np.maximum(1.0 - cosine * cosine, 0.0)
@@ -255,7 +256,7 @@ def reflected(
     below = squashed(half, nh, -1) + nh * nh
     distribution = 1.0 / (np.pi * first * across * below * below)
 
-    def unshadowed(direction: Vectors, cosine: Values) -> Values:
+    def unshadowed(direction: Vectors, cosine: FloatArray) -> FloatArray:
         return 2.0 / (1.0 + np.sqrt(1.0 + squashed(direction, cosine, 1) / (cosine * cosine)))
 
     shadowing = unshadowed(light, nl) * unshadowed(view, nv)
@@ -263,7 +264,7 @@ def reflected(
     return np.where(lit, distribution * shadowing * mirror / (4.0 * nv), 0.0)
 
 
-def towards(led: Led, points: Vectors) -> tuple[Vectors, Values]:
+def towards(led: Led, points: Vectors) -> tuple[Vectors, FloatArray]:
     """Unit vector from each point (mm) to the light, and the irradiance of a surface that faces
     it."""
     x, y, z = points

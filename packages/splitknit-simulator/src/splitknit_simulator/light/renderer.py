@@ -40,7 +40,7 @@ from splitknit_simulator.light.skin import (
     diffusion_profile,
     fresnel,
 )
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Window
 
 BLOOD: dict[Channel, float] = {"red": 0.15, "green": 1.0, "blue": 0.8, "nir": 0.05}
 """How strongly mottled blood darkens each channel, relative to green."""
@@ -70,7 +70,7 @@ class RenderSettings(Checked):
 class BandLight:
     """Radiance of the finger inside `window`, in units of the rig's intensities."""
 
-    window: tuple[slice, slice]  # rows and columns of the frame
+    window: Window  # rows and columns of the frame
     diffuse: FloatArray  # (L, C, h, w) light that came through the skin, C = 3 (white) or 1 (NIR)
     glare: FloatArray  # (L, h, w) light that the surface alone reflects, the same in all channels
 

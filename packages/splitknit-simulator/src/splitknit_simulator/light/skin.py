@@ -24,7 +24,6 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 from scipy.special import j1
 
 from splitknit.errors import require
@@ -292,7 +291,7 @@ REFRACTIVE_INDEX = 1.42
 Physics in Medicine and Biology 51, 1479)."""
 
 
-def fresnel(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX) -> NDArray[np.floating]:
+def fresnel(cosine: FloatArray, ratio: float = REFRACTIVE_INDEX) -> FloatArray:
     """Unpolarised Fresnel reflectance at `cosine` of incidence in [0, 1]; `ratio` is n behind / n
     before the surface.
 
@@ -353,7 +352,7 @@ class Profile:
         inside = np.concatenate([[0.0], np.cumsum(self.weights)]) / self.albedo
         return float(np.interp(fraction, inside, self.radii_mm))
 
-    def transfer(self, cycles_per_mm: NDArray[np.floating]) -> Array:
+    def transfer(self, cycles_per_mm: FloatArray) -> Array:
         """Fourier (Hankel) transform of the profile at a frequency, evenly spread within each ring.
 
         One ring between radii p and q has the transform 2 (q J1(kq) - p J1(kp)) / (k (q^2 - p^2)),

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from splitknit import Camera, Capture, Rig
@@ -35,6 +34,7 @@ from splitknit_simulator.population.people import (
     draw_person,
 )
 from splitknit_simulator.scene import BackgroundSettings, TwinSettings
+from splitknit_simulator.surface import Truth
 from splitknit_simulator.twin import photograph
 
 # What changes from one session to the next: how a finger is laid down, its skin, the camera and the
@@ -217,7 +217,7 @@ class _Shown:
     """One capture of the population."""
 
     capture: Capture
-    truth: dict[str, NDArray[Any]]
+    truth: Truth
     # who, which finger and session, how it lay, how its skin was: plain numbers and words
     facts: dict[str, Any]
 
