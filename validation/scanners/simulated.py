@@ -30,7 +30,7 @@ from splitknit_simulator.finger.raycast import (
 )
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import skin_map
-from splitknit_simulator.light.lighting import LED_RADIUS_MM, cut_out, light_on
+from splitknit_simulator.light.lighting import cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium
 from splitknit_simulator.scene import TwinSettings
@@ -110,7 +110,7 @@ class Sight:
         optics = self.fingers.optics
         gain: Any = np.float32(1 / np.pi)
         led = Led("white", tuple(self.turn @ (lamp.centre_mm - PIVOT) + PIVOT))
-        entering, gloss = light_on(self.patch, led, optics.roughness, LED_RADIUS_MM)
+        entering, gloss = light_on(self.patch, led, optics.roughness)
         gloss = gloss * np.float32(0 if channel == "opaque" else optics.glare)
         blur: Any = lambda light: iter((light,))  # noqa: E731
         if channel != "opaque":

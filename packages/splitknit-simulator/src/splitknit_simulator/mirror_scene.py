@@ -11,7 +11,6 @@ from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
 from splitknit.model import Array, BoolArray, FloatArray, PixelArray
 from splitknit_simulator.light.lighting import (
-    LED_RADIUS_MM,
     Patch,
     cut_out,
     finger_window,
@@ -56,10 +55,8 @@ def _light_through(
     for light in lights:
         # light from straight behind, where nothing is lit
         with np.errstate(divide="ignore", invalid="ignore"):
-            parts = light_on(patch, light.led, roughness, LED_RADIUS_MM)
-        fraction = (
-            1 if light.gate is None else light.gate.fraction(patch.points, light.led, LED_RADIUS_MM)
-        )
+            parts = light_on(patch, light.led, roughness)
+        fraction = 1 if light.gate is None else light.gate.fraction(patch.points, light.led)
         entering += parts[0] * fraction
         gloss += parts[1] * fraction
     return entering, gloss

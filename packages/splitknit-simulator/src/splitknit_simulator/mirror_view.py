@@ -18,7 +18,7 @@ from splitknit_simulator.finger.raycast import (
     Placement,
     surface_of,
 )
-from splitknit_simulator.light.lighting import Vectors
+from splitknit_simulator.light.lighting import LED_RADIUS_MM, Vectors
 from splitknit_simulator.rigs import SIDES, MirrorSettings
 from splitknit_simulator.surface import SimulatedSurface, Window, soft_step, triple
 
@@ -68,8 +68,8 @@ class _Gate:
         """The same outline behind a mirror."""
         return _Gate(reflection.points(self.corners))
 
-    def fraction(self, points: Vectors, led: Led, radius_mm: float) -> NDArray[np.float32]:
-        """Fraction of an LED's face, of `radius_mm`, that points see through the outline: 0 to 1,
+    def fraction(self, points: Vectors, led: Led) -> NDArray[np.float32]:
+        """Fraction of an LED's face that points see through the outline: 0 to 1,
         their shape."""
         x, y, z = points
         middle, normal, inwards = self._frame()
@@ -89,7 +89,7 @@ class _Gate:
         for (ex, ey, ez), distance in inwards:
             inside = np.minimum(inside, qx * ex + qy * ey + qz * ez + distance)
         ahead = (crossing > 0.0) & (crossing < (1.0 if near else np.inf))
-        soft = np.maximum(radius_mm * crossing, 1e-3) if near else 1e-3
+        soft = np.maximum(LED_RADIUS_MM * crossing, 1e-3) if near else 1e-3
         fraction = soft_step(0.5 + 0.5 * inside / np.where(ahead, soft, 1.0))
         return np.where(ahead, fraction, 0.0).astype(np.float32)
 

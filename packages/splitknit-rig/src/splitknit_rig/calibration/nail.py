@@ -137,7 +137,6 @@ class JointFit:
     residual_px: Array
     outliers: tuple[int, ...]  # rows whose tip lies astray
     strays: frozenset[tuple[str, int]]  # LEDs, band and number, off the circle
-    rms_px: float  # residual of the tips that are not outliers, each way
 
 
 def by_joint_fit(
@@ -227,9 +226,6 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
         residual_px=residual_px,
         outliers=tuple(int(row) for row in np.flatnonzero(astray)),
         strays=frozenset(name for name, far in zip(model.names, off, strict=True) if far),
-        rms_px=float(np.sqrt(np.mean(residual_px[~astray] ** 2)))
-        if not astray.all()
-        else float("nan"),
     )
 
 

@@ -60,7 +60,6 @@ class CardImages:
 
     pixels: Array  # (N, 2) column and row of the cells' middles
     light: Array  # (L, N) linear light of the LED alone, the lens's fall-off in it, by the exposure
-    shape: tuple[int, int]  # rows and columns of cells
     # light with all LEDs off, by band, relative to the mean image; None where there is no such
     # image
     ambient_percent: dict[str, float | None]
@@ -92,7 +91,6 @@ def card_images(capture: Capture, rig: Rig, *, may_be_dark: bool = False) -> Car
     return CardImages(
         pixels=places.reshape(-1, 2),
         light=np.stack([cells[b][1][k].ravel() for b, k in order]),
-        shape=(places.shape[0], places.shape[1]),
         ambient_percent={
             light.name: _ambient_percent(light, lit)
             for light, (_, lit) in zip(lights, cells, strict=True)

@@ -172,17 +172,13 @@ class CoatedPatch:
         """(h, w) factor of a channel's diffuse light, from that of bare skin."""
         return gain * self.leaving * (1.0 + self.fraction * (self.tint.get(channel, 1.0) - 1.0))
 
-    def light_on(
-        self, led: Led, glare: float, led_radius_mm: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def light_on(self, led: Led, glare: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Light that enters the skin, that the surface reflects, and that scales and grains
         scatter; (h, w) each."""
         patch = self.patch
         sums = np.zeros((3, *patch.mask.shape), dtype=np.float32)
         for lamp in (led, *led.also):
-            parts = self._lit(
-                *towards(lamp, patch.points), angular_size(lamp, led_radius_mm), glare
-            )
+            parts = self._lit(*towards(lamp, patch.points), angular_size(lamp), glare)
             for k, part in enumerate(parts):
                 sums[k] += part
         return sums[0], sums[1], sums[2]

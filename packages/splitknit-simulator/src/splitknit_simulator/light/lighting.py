@@ -137,21 +137,15 @@ def white_card(camera: Camera, led: Led, z_mm: float = 0.0, step: int = 16) -> F
     )
 
 
-def light_on(
-    patch: Patch, led: Led, roughness: float, led_radius_mm: float
-) -> tuple[FloatArray, FloatArray]:
+def light_on(patch: Patch, led: Led, roughness: float) -> tuple[FloatArray, FloatArray]:
     """Return the irradiance that enters the skin, and the radiance that its surface reflects to the
     camera, (h, w)."""
     entering, gloss = np.zeros((2, *patch.mask.shape), dtype=np.float32)
     for lamp in (led, *led.also):
-        light, strength = arriving(patch, lamp, led_radius_mm)
+        light, strength = arriving(patch, lamp)
         cosine = np.maximum(dot(light, patch.normal), 0.0)
         entering += strength * cosine * (1.0 - fresnel(cosine))
-        alpha = (
-            roughness
-            if lamp.position_mm is None
-            else min(roughness + angular_size(lamp, led_radius_mm), 1.0)
-        )
+        alpha = roughness if lamp.position_mm is None else min(roughness + angular_size(lamp), 1.0)
         gloss += strength * reflected(patch.normal, light, patch.view, alpha)
     return entering, gloss
 
@@ -161,13 +155,11 @@ _NOTHING_MM = -1e3
 LED_RADIUS_MM = 1.5  # of the emitting face, which widens the specular reflection
 
 
-def arriving(
-    patch: Patch, led: Led, radius_mm: float = LED_RADIUS_MM
-) -> tuple[Vectors, FloatArray]:
+def arriving(patch: Patch, led: Led) -> tuple[Vectors, FloatArray]:
     """As :func:`towards` for the points of a patch, what shadows take of the light taken away.
 
     The way to a light that stands low is followed over the surface: where it is below it, the light
-    is hidden, softly, as its face has a `radius_mm`.
+    is hidden, softly, as its face has a radius.
     """
     light, strength = towards(led, patch.points)
     lx, ly, lz = light
@@ -176,7 +168,7 @@ def arriving(
         return light, strength
     flat = np.maximum(np.hypot(lx, ly), 1e-6)
     rows, columns = (np.asarray(axis, dtype=np.float32) for axis in np.indices(patch.z.shape))
-    soft = radius_mm / float(np.linalg.norm(led.position_mm))
+    soft = LED_RADIUS_MM / float(np.linalg.norm(led.position_mm))
     most = (float(patch.z.max()) - float(patch.z[patch.mask].min())) / max(
         float((lz / flat)[patch.mask].min()), 0.05
     )
@@ -199,12 +191,12 @@ def arriving(
     return light, strength * np.clip(seen, 0.0, 1.0)
 
 
-def angular_size(led: Led, radius_mm: float) -> float:
+def angular_size(led: Led) -> float:
     """By how much the face of a near LED widens its specular reflection, as a roughness."""
     return (
         0.0
         if led.position_mm is None
-        else radius_mm / (2.0 * float(np.linalg.norm(led.position_mm)))
+        else LED_RADIUS_MM / (2.0 * float(np.linalg.norm(led.position_mm)))
     )
 
 

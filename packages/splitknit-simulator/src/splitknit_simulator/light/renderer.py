@@ -23,7 +23,6 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.coat import CoatedPatch
 from splitknit_simulator.light.lighting import (
-    LED_RADIUS_MM,
     Patch,
     Vectors,
     arriving,
@@ -111,7 +110,7 @@ def render_band(
         relief.colour(coat.over)
 
         def shine(k: int) -> Shine:
-            return coat.light_on(leds[k], skin.glare, LED_RADIUS_MM)
+            return coat.light_on(leds[k], skin.glare)
 
     else:
         patches: Any = np.float32(skin.glare)
@@ -119,7 +118,7 @@ def render_band(
             patches = patches * surface.texture.gloss[patch.window]
 
         def shine(k: int) -> Shine:
-            entering, gloss = light_on(patch, leds[k], skin.roughness, LED_RADIUS_MM)
+            entering, gloss = light_on(patch, leds[k], skin.roughness)
             return entering, gloss * patches, None
 
         if skin.boundary.refraction > 0 or skin.boundary.entry_power != 1:
