@@ -41,8 +41,7 @@ from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.lens import SightLines
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.films import reflected_through
-from splitknit_simulator.rigs import built_rig
-from splitknit_simulator.surface import triple
+from splitknit_simulator.rigs import built_rig, triple
 
 MARKER = "rig_true.json"
 BOARD = PrintedBoard(rows=6, columns=9, square_mm=3.0)

@@ -19,8 +19,8 @@ from splitknit_simulator.finger.raycast import (
     surface_of,
 )
 from splitknit_simulator.light.lighting import LED_RADIUS_MM, Vectors
-from splitknit_simulator.rigs import SIDES, MirrorSettings
-from splitknit_simulator.surface import SimulatedSurface, Window, soft_step, triple
+from splitknit_simulator.rigs import SIDES, MirrorSettings, triple
+from splitknit_simulator.surface import SimulatedSurface, Window, soft_step
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,7 +25,12 @@ from splitknit.nominal import (
     shared_exposures,
 )
 from splitknit.settings import Checked, Limits, check_fields
-from splitknit_simulator.surface import triple
+
+
+def triple(values: Array) -> tuple[float, float, float]:
+    """Three numbers of an array (3,)."""
+    return float(values[0]), float(values[1]), float(values[2])
+
 
 _SIDE_ARC_DEG = (-25.0, 205.0)
 """Azimuths of the first and the last light to the side. Source: drawing, hardware/films.py."""

@@ -21,11 +21,6 @@ WATER_INDEX = 1.333
 """Refractive index of water. Source: Hale and Querry 1973."""
 
 
-def triple(values: Array) -> tuple[float, float, float]:
-    """Three numbers of an array (3,)."""
-    return float(values[0]), float(values[1]), float(values[2])
-
-
 def soft_step(place: Array) -> Array:
     """A cubic from 0 at `place` 0 and below to 1 at 1 and above, level at both ends."""
     inside = np.clip(place, 0.0, 1.0)

@@ -23,7 +23,7 @@ from splitknit.nominal import side_lights
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.lighting import Patch, Vectors, arriving, dot
 from splitknit_simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, fresnel
-from splitknit_simulator.surface import triple
+from splitknit_simulator.rigs import triple
 
 SERIES = ("parallel", "crossed")
 
