@@ -53,7 +53,7 @@ RESULTS = (
     "splitknit_match.evaluation.evaluate.Result",
     "splitknit_rig.calibration.camera_photos.MeasuredCamera",
     "splitknit_rig.calibration.lights_found.CalibratedLights",
-    "splitknit_rig.calibration.lights_found.CalibratedLed",
+    "splitknit_rig.calibration.lights.CalibratedLed",
     "splitknit_rig.calibration.radiometry.RadiometricCalibration",
 )
 """What public functions return."""

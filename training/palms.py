@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from splitknit.errors import require
-from splitknit.model import Camera, FloatArray
+from splitknit.model import Array, Camera, FloatArray
 from splitknit_simulator.finger.master_print import (
     MasterPrintSettings,
     ridge_profile,
@@ -24,7 +24,7 @@ from splitknit_simulator.finger.master_print import (
     twice_as_fine,
 )
 from splitknit_simulator.finger.ridges import grow_ridges, smooth_noise
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 STEP_MM = 0.25  # distance between the points of a line
 # exponent of the norm that joins grooves: deeper than each where they cross, less than their sum

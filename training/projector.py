@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from splitknit import Led
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.settings import Checked, Limits
-from splitknit_simulator.light.lighting import LED_RADIUS_MM, Patch, cut_out, light_on
+from splitknit_simulator.light.lighting import Patch, cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium, SkinOptics
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 # Patterns that a projector throws on the skin, and where they fall.
 
@@ -241,7 +241,7 @@ class _Scene:
         )
         gains = Relief(surface, self.patch, medium).gains(led)
         self.out = [out * gain for out, gain in zip(self.diffusion.out, gains, strict=True)]
-        entering, gloss = light_on(self.patch, led, medium.roughness, LED_RADIUS_MM)
+        entering, gloss = light_on(self.patch, led, medium.roughness)
         self.glare: FloatArray = np.asarray(gloss * np.float32(medium.glare), dtype=np.float32)
         self.entering = self.diffusion.pad(entering)
         x, y = _projected(self.patch, led)

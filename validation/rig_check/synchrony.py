@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput, Rig
-from splitknit.devices import CameraDevice, ExposureRange, Frame, LightBank
+from splitknit.devices import CameraDevice, ExposureRange, Frame, LightBank, Opened
 from splitknit.io.csv_table import csv_text
 from splitknit.nominal import default_rig
 from splitknit_rig.capture.session import SessionSettings, run_session
@@ -162,7 +162,9 @@ def counted(kind: str, rate: float, frames: int, seed: int) -> dict[str, int]:
         with Bank(len(rig.leds), 0.0) as lights, Camera(rig, lights, kind, rate, seed) as camera:
             counts["captures"] += 1
             try:
-                session = run_session(camera, lights, rig, SessionSettings(find_finger=False))
+                session = run_session(
+                    Opened("twin", camera, lights, rig, {}), SessionSettings(find_finger=False)
+                )
             except BadInput:
                 counts["frames"] += 16
                 continue

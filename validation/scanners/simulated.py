@@ -16,7 +16,7 @@ import structured_light
 from numpy.typing import NDArray
 from views import View
 
-from splitknit.model import BoolArray, Camera, FloatArray, Led
+from splitknit.model import Array, BoolArray, Camera, FloatArray, Led
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus
 from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings
 from splitknit_simulator.finger.finger import placement_of
@@ -30,11 +30,10 @@ from splitknit_simulator.finger.raycast import (
 )
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import skin_map
-from splitknit_simulator.light.lighting import LED_RADIUS_MM, cut_out, light_on
+from splitknit_simulator.light.lighting import cut_out, light_on
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium
 from splitknit_simulator.scene import TwinSettings
-from splitknit_simulator.surface import Array
 from splitknit_simulator.twin import drawn_finger
 
 SCALE = 0.4
@@ -111,7 +110,7 @@ class Sight:
         optics = self.fingers.optics
         gain: Any = np.float32(1 / np.pi)
         led = Led("white", tuple(self.turn @ (lamp.centre_mm - PIVOT) + PIVOT))
-        entering, gloss = light_on(self.patch, led, optics.roughness, LED_RADIUS_MM)
+        entering, gloss = light_on(self.patch, led, optics.roughness)
         gloss = gloss * np.float32(0 if channel == "opaque" else optics.glare)
         blur: Any = lambda light: iter((light,))  # noqa: E731
         if channel != "opaque":

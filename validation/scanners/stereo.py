@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from views import View, cloud_of
 
 from splitknit.errors import require
-from splitknit.model import BoolArray, FloatArray
-from splitknit_simulator.surface import Array
+from splitknit.model import Array, BoolArray, FloatArray
 
 _ITERATIONS = 4
 _MAX_STEP_PX = 0.5

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import FloatArray
-from splitknit_simulator.surface import Array
+from splitknit.model import Array, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -135,15 +135,17 @@ def capture(
     from splitknit.io.targets import check_capture
     from splitknit.settings import override
     from splitknit_rig.capture.folder import CaptureOptions, capture_enrolment, capture_to_folder
+    from splitknit_rig.capture.openers import opener_of
     from splitknit_rig.capture.session import SessionSettings
 
+    changes = flatten(settings or {})
     if preview or led is not None:
         refuse_given(
             f"does not go with `{'preview' if preview else 'led'}`.",
             enrolment=enrolment,
             **({} if preview else {"out": out, "target": target}),
         )
-        opener = _opener(device, flatten(settings or {}), rig, scale, target=target or "card")
+        opener = opener_of(device, changes, rig, scale, target=target or "card")
         if preview:
             return _previewed(opener, led, seconds or 600.0, out)
         return _lit(opener, led, seconds or 5.0)
@@ -165,7 +167,6 @@ def capture(
     )
     require(enrolment is None or not (target is not None or overwrite or pattern), alone)
 
-    changes = flatten(settings or {})
     if target is not None:
         target = target or "card"  # of an option without a value
         changes["capture.find_finger"] = False
@@ -185,7 +186,7 @@ def capture(
         turn=_turn if asks else None,
         ask=_ask if asks else None,
     )
-    opener = _opener(device, device_changes, rig, scale, pattern=pattern, target=target)
+    opener = opener_of(device, device_changes, rig, scale, pattern=pattern, target=target)
     if out is not None:
         who: dict[str, Any] = {"id": subject or "anonymous", "session": session or 1}
         if target is not None:
@@ -199,8 +200,9 @@ def capture(
         return Report(facts, tuple(_lines(facts, Path(out), of_finger=target is None)))
 
     assert enrolment is not None
-    names = fingers_named(fingers)
-    opened = open_enrolment(Path(enrolment), subjects=subjects, sessions=sessions, fingers=names)
+    opened = open_enrolment(
+        Path(enrolment), subjects=subjects, sessions=sessions, fingers=fingers_named(fingers)
+    )
     waiting = opened.waiting(subject=subject, session=session, finger=finger)[:next]
     with ExitStack() as stack:
         kept = stack.enter_context(opener(0, 0)) if device == "pi" and waiting else None
@@ -236,20 +238,6 @@ def _check_who(subject: str | None, finger: str | None, session: int | None) -> 
         f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.",
     )
     require(session is None or session >= 1, "sessions are numbered from 1.")
-
-
-def _opener(
-    device: str,
-    changes: Mapping[str, Any],
-    rig_file: AnyPath | None,
-    scale: float | None,
-    **of: Any,
-) -> Opener:
-    """Function that opens the devices of a rig file; `of`: what the twin photographs."""
-    from splitknit import read_rig
-    from splitknit_rig.capture.openers import opener_of
-
-    return opener_of(device, changes, None if rig_file is None else read_rig(rig_file), scale, **of)
 
 
 def _led_of(devices: Opened, name: str | None) -> int:

@@ -161,15 +161,15 @@ def check_rig(
             places = dict(zip(PARTS, named, strict=True))
         else:
             openers = {
-                part: opener_of(device, {}, base, None, target=None if part == "finger" else part)
+                part: opener_of(device, {}, rig, None, target=None if part == "finger" else part)
                 for part in (*PARTS[:3], "finger")
             }
             asks = device == "pi" and sys.stdin.isatty()
             places = take_photographs(
                 openers, folder, _ask if asks else lambda part: None, progress
             )
-        taken, hashes = read_photographs(places, base)
-        answers = tuple(answers_of(taken, base, ball_mm, progress))
+        taken, series, hashes = read_photographs(places, base)
+        answers = tuple(answers_of(taken, series, base, ball_mm, progress))
         hashes["rig.json"] = file_hash(Path(rig))
         facts = {
             "answer": "passed" if all(answer.passed for answer in answers) else "failed",

@@ -47,12 +47,12 @@ def card(black):
 def test_sensor():
     values = 0.04 + TIMES[:, None] * LIGHT
     sound = by_question(answers_of_sensor(card(10), values, TIMES))
-    assert sound[DARK.words].measured == pytest.approx(0.08, abs=0.01)  # 10 / 255
-    assert sound[LINEAR.words].passed
+    assert sound[DARK.question].measured == pytest.approx(0.08, abs=0.01)  # 10 / 255
+    assert sound[LINEAR.question].passed
     raised = by_question(answers_of_sensor(card(0), values, TIMES))
-    assert raised[DARK.words].measured == pytest.approx(4.0, abs=0.01)
+    assert raised[DARK.question].measured == pytest.approx(4.0, abs=0.01)
     curved = by_question(answers_of_sensor(card(0), values**0.8, TIMES))
-    assert not curved[LINEAR.words].passed
+    assert not curved[LINEAR.question].passed
 
 
 def test_a_question_that_cannot_be_asked_fails_and_says_why():
@@ -132,8 +132,8 @@ def test_exit_codes():
 
 def test_the_table():
     answers = (
-        Answer("dark level", 0.1234, 1.0, "% of full scale", True),
-        Answer("focus", None, 2.0, "%", False, at_least=True, note="no skin"),
+        Answer("dark level", 1.0, "% of full scale", measured=0.1234, passed=True),
+        Answer("focus", 2.0, "%", at_least=True, note="no skin"),
     )
     lines = str(RigCheck(answers, {"out": "there"})).splitlines()
     assert " ".join(lines[1].split()) == "dark level 0.123 <= 1 % of full scale passed"
@@ -185,7 +185,7 @@ def test_the_twin_passes(tested):
     # at 8 px/mm ridges are not judged by these limits
     failed = [answer.question for answer in result.answers if not answer.passed]
     assert all(name.startswith("ridges") for name in failed), str(result)
-    ridges = by_question(result.answers)[RIDGES.words]
+    ridges = by_question(result.answers)[RIDGES.question]
     assert ridges.measured > 0.82 and "% of the height drawn" in ridges.note
     written = json.loads((out / "check.json").read_text())
     assert written["rows"] == result.facts["rows"]
@@ -211,7 +211,7 @@ def test_a_dead_led_and_a_wrong_lens_fail(tested, rig_file, tmp_path):
     write_rig(replace(rig, camera=camera), other_rig)
     dead = check_rig(rig_file, out=tmp_path / "dead", **folders(photographs))
     assert dead.facts["answer"] == "failed"
-    unlit = by_question(dead.answers)[LIT.words]
+    unlit = by_question(dead.answers)[LIT.question]
     assert (unlit.measured, unlit.passed, unlit.note) == (1.0, False, "white 3")
     # what the other LEDs show is answered all the same
     assert by_question(dead.answers)["brightness by light"].passed
@@ -220,5 +220,5 @@ def test_a_dead_led_and_a_wrong_lens_fail(tested, rig_file, tmp_path):
     assert not lens["radius of the ball"].passed
     wrong_phantom = {**folders(out), "phantom": out / "ball"}
     unlike = by_question(check_rig(rig_file, out=tmp_path / "unlike", **wrong_phantom).answers)
-    assert not unlike[RIDGES.words].passed
-    assert "the phantom's ridges are not seen" in unlike[RIDGES.words].note
+    assert not unlike[RIDGES.question].passed
+    assert "the phantom's ridges are not seen" in unlike[RIDGES.question].note

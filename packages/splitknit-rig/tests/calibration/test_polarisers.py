@@ -37,10 +37,8 @@ def photographed(folder, seed, extinction):
     with pytest.MonkeyPatch.context() as patch:
         # samples across a pixel of the LEDs' images: less than 12, for time
         patch.setattr(solids, "RIM_SAMPLES", 4)
-        for _, job in behind_films(
-            replace(rig, films=films), ball, np.random.SeedSequence(seed + 1)
-        ):
-            job(folder)
+        seed = np.random.SeedSequence(seed + 1)
+        assert list(behind_films(replace(rig, films=films), ball, seed, folder))
     return films
 
 

@@ -13,6 +13,7 @@ from test_pi_session import CAMERA, rig_of_pi  # noqa: F401 - a fixture
 
 from enrolled import refusal_of
 from splitknit.cli.main import main
+from splitknit.devices import Opened
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture
 from splitknit.io.rig import write_rig
@@ -55,7 +56,7 @@ def with_films(rig, **films):
 def captured(scene, rig, settings=None):
     camera, lights, _ = twin_devices(scene)
     with lights, camera:
-        return run_session(camera, lights, rig, settings, turn=scene.turn)
+        return run_session(Opened("twin", camera, lights, rig, {}), settings, turn=scene.turn)
 
 
 @pytest.mark.slow
@@ -133,7 +134,7 @@ def test_a_target_needs_no_specular_reflection(finger):
 def test_an_analyser_that_nothing_turns_is_refused(finger):
     camera, lights, _ = twin_devices(finger)
     with lights, camera, pytest.raises(BadInput, match="nothing turns it here"):
-        run_session(camera, lights, with_films(finger.rig, kind="servo"))
+        run_session(Opened("twin", camera, lights, with_films(finger.rig, kind="servo"), {}))
 
 
 def test_films_on_the_twin_are_refused(tmp_path, capsys):

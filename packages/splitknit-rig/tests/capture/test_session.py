@@ -7,6 +7,7 @@ import pytest
 
 from faulty_scene import Faults, FaultyScene
 from refusals import bad_input
+from splitknit.devices import Opened
 from splitknit.nominal import default_rig
 from splitknit.observation.light import Light
 from splitknit_rig.capture.session import SessionSettings, run_session
@@ -25,7 +26,7 @@ def done(finger):
     """An undisturbed session, and its devices."""
     camera, lights, clock = twin_devices(finger)
     with lights, camera:
-        session = run_session(camera, lights, finger.rig)
+        session = run_session(Opened("twin", camera, lights, finger.rig, {}))
         assert lights.lit == frozenset()
     return session, clock
 
@@ -34,13 +35,13 @@ def taken(scene, rig=None):
     """Session on the twin's devices around a scene."""
     camera, lights, _ = twin_devices(scene)
     with lights, camera:
-        return run_session(camera, lights, rig or scene.rig)
+        return run_session(Opened("twin", camera, lights, rig or scene.rig, {}))
 
 
 def captured(finger, faulty, settings=None, **faults):
     camera, lights, _ = faulty(**faults)
     try:
-        return run_session(camera, lights, finger.rig, settings)
+        return run_session(Opened("twin", camera, lights, finger.rig, {}), settings)
     finally:
         assert lights.lit == frozenset()
         lights.close()
@@ -203,7 +204,8 @@ def test_light_that_is_switched_on_later_is_reported_as_overexposed(finger, faul
 
     scene.frame_begins = begins
     session = run_session(
-        camera, lights, finger.rig, SessionSettings(checks=CheckSettings(retries=0))
+        Opened("twin", camera, lights, finger.rig, {}),
+        SessionSettings(checks=CheckSettings(retries=0)),
     )
     assert any("white 3 is overexposed on " in words for words in session.verdict)
 
@@ -221,7 +223,7 @@ def test_leds_are_off_after_an_interrupt(finger, faulty):
     camera, lights, _ = faulty()
     camera.capture = lambda: (_ for _ in ()).throw(KeyboardInterrupt)
     with pytest.raises(KeyboardInterrupt):
-        run_session(camera, lights, finger.rig)
+        run_session(Opened("twin", camera, lights, finger.rig, {}))
     assert lights.lit == frozenset()
 
 
@@ -237,7 +239,7 @@ def test_a_frame_of_another_led_or_exposure_is_refused(finger):
 
     camera.capture = late
     with lights, camera:
-        session = run_session(camera, lights, finger.rig, ONCE)
+        session = run_session(Opened("twin", camera, lights, finger.rig, {}), ONCE)
     assert "white 3 shows the light of white 2: the camera gave another frame" in session.verdict[0]
 
     camera, lights, _ = twin_devices(finger)
@@ -252,7 +254,7 @@ def test_a_frame_of_another_led_or_exposure_is_refused(finger):
 
     camera.capture = shorter
     with lights, camera:
-        session = run_session(camera, lights, finger.rig, ONCE)
+        session = run_session(Opened("twin", camera, lights, finger.rig, {}), ONCE)
     assert session.verdict[0].startswith("white 3 is 13 % off the light that its preview showed")
     assert max(shot.misfit for shot in session.shots if shot.name == "white 4") < 0.01
 
@@ -280,7 +282,7 @@ def test_a_rig_that_does_not_match_the_devices_is_refused(finger):
         (replace(rig, leds=(*rig.leds[:13], replace(nir[6], band="uv"))), "band 'uv'"),
     ):
         with bad_input(words):
-            run_session(camera, lights, wrong)
+            run_session(Opened("twin", camera, lights, wrong, {}))
 
 
 @pytest.mark.parametrize("wrong", [{"moved_mm": -1.0}, {"retries": -1}])

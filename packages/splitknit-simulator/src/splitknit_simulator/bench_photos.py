@@ -4,9 +4,8 @@ hardware."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +16,7 @@ from splitknit import Ambient, Band, Camera, Capture, Led, Rig, write_capture, w
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.targets import check_capture
-from splitknit.model import Films, PixelArray, Progress, no_progress
+from splitknit.model import Array, Films, PixelArray, Progress
 from splitknit.nominal import nominal_rig
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.calibration_set.bench import (
@@ -42,8 +41,7 @@ from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.lens import SightLines
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.films import reflected_through
-from splitknit_simulator.rigs import built_rig
-from splitknit_simulator.surface import Array
+from splitknit_simulator.rigs import built_rig, triple
 
 MARKER = "rig_true.json"
 BOARD = PrintedBoard(rows=6, columns=9, square_mm=3.0)
@@ -72,10 +70,10 @@ def bench_to_folder(
     out: Path,
     *,
     seed: int,
-    scale: float = 0.5,
-    photos: BenchPhotos | None = None,
-    overwrite: bool = False,
-    progress: Progress = no_progress,
+    scale: float,
+    photos: BenchPhotos,
+    overwrite: bool,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Photograph everything that calibrates the rig that person `seed` built.
 
@@ -85,7 +83,6 @@ def bench_to_folder(
     ``rig_true.json`` (what calibration should find). Raises BadInput if `out` holds something else,
     or numbers are out of range.
     """
-    photos = photos or BenchPhotos()
     check_capture(out, overwrite=overwrite, marker=MARKER, words="an earlier simulated bench")
     rig, drawn = built_rig(seed, scale=scale), nominal_rig(scale)
     count = photos.boards + photos.nails + 2 + 2 * photos.polarisers
@@ -99,13 +96,12 @@ def bench_to_folder(
         write_rig(rig, target / MARKER)
         write_rig(drawn, target / "rig_drawn.json")
         # one scene after another: each keeps arrays of the picture's size
-        jobs = _jobs(rig, photos, np.random.SeedSequence([seed, 0xBE]))
-        behind = (
-            () if ball is None else behind_films(rig, ball, np.random.SeedSequence([seed, 0xF2]))
-        )
-        for k, (stage, job) in enumerate(chain(jobs, behind)):
+        stages = _photographed(rig, photos, np.random.SeedSequence([seed, 0xBE]), target)
+        if ball is not None:
+            films_seed = np.random.SeedSequence([seed, 0xF2])
+            stages = chain(stages, behind_films(rig, ball, films_seed, target))
+        for k, stage in enumerate(stages):
             progress(stage, k / count)
-            job(target)
     progress("done", 1.0)
     return {
         "out": str(out),
@@ -123,9 +119,11 @@ _NAIL_PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
 """Where nails stand, x and y: all shadows stay in a picture of 42 x 29 mm."""
 
 
-def _jobs(
-    rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence
-) -> Iterator[tuple[str, Callable[[Path], None]]]:
+def _photographed(
+    rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence, target: Path
+) -> Iterator[str]:
+    """Photograph board, nail and card into the folder `target`; each is named before it is
+    taken."""
     tilt = tuple(rig.provenance["base_tilt_deg"])
     under: dict[str, Any] = {
         "camera": rig.camera,
@@ -135,22 +133,27 @@ def _jobs(
     white = [k for k, led in enumerate(rig.leds) if led.band == "white"]
     of_boards, of_plane, of_nails, of_card = seeds.spawn(4)
     board_seed = int(of_boards.generate_state(1)[0])
+    (target / "board").mkdir()
     for k, pose in enumerate(board_poses(board_seed, photos.boards, rig.camera, BOARD)):
+        yield "board"
         scene = BoardScene(**under, board=BOARD, **pose)
-        yield (
-            "board",
-            partial(
-                _one, scene, white, of_boards.spawn(1)[0], Path("board") / f"board_{k:02d}.png"
-            ),
-        )
-    turn = np.deg2rad(tilt)
-    plane = BoardScene(**under, board=BOARD, rotation_vector=(float(turn[0]), float(turn[1]), 0.0))
-    yield "plane", partial(_one, plane, white, of_plane.spawn(1)[0], Path("plane.png"))
+        _one(scene, white, of_boards.spawn(1)[0], target / "board" / f"board_{k:02d}.png")
+    yield "plane"
+    plane = BoardScene(**under, board=BOARD, rotation_vector=_turn_of(rig))
+    _one(plane, white, of_plane.spawn(1)[0], target / "plane.png")
     under["tilt_deg"] = tilt
     for n, place in enumerate(_NAIL_PLACES_MM[: photos.nails]):
+        yield "nail"
         nail = NailScene(**under, position_mm=place, nail_mm=_NAIL_HEIGHT_MM)
-        yield "nail", partial(_series, nail, of_nails.spawn(1)[0], Path("nail") / f"nail_{n}")
-    yield "card", partial(_card, CardScene(**under), rig, of_card)
+        _series(nail, of_nails.spawn(1)[0], target / "nail" / f"nail_{n}")
+    yield "card"
+    _card(CardScene(**under), rig, of_card, target / "card")
+
+
+def _turn_of(rig: Rig) -> tuple[float, float, float]:
+    """Rotation vector of the rig's base."""
+    x, y = np.deg2rad(rig.provenance["base_tilt_deg"]).tolist()
+    return x, y, 0.0
 
 
 _BRIGHTEST_LEVEL = 0.9
@@ -158,31 +161,34 @@ _BRIGHTEST_LEVEL = 0.9
 
 
 def behind_films(
-    rig: Rig, ball: BlackBallScene, seed: np.random.SeedSequence
-) -> Iterator[tuple[str, Callable[[Path], None]]]:
-    """The printed card and the ball with the analyser parallel and crossed."""
+    rig: Rig, ball: BlackBallScene, seed: np.random.SeedSequence, target: Path
+) -> Iterator[str]:
+    """Photograph the printed card and the ball with the analyser parallel and crossed."""
     assert rig.films is not None
-    tilt = np.deg2rad(rig.provenance["base_tilt_deg"])
-    pose = (float(tilt[0]), float(tilt[1]), 0.0)
     card = BoardScene(
-        camera=rig.camera, leds=rig.leds, bench=ball.bench, board=BOARD, rotation_vector=pose
+        camera=rig.camera,
+        leds=rig.leds,
+        bench=ball.bench,
+        board=BOARD,
+        rotation_vector=_turn_of(rig),
     )
-    away, folder = behind_analyser(rig.camera, rig.films), Path("polarisers")
+    away, folder = behind_analyser(rig.camera, rig.films), target / "polarisers"
+    yield "card"
     series: dict[str, LitScene] = {"white": card, "white_crossed": replace(card, camera=away)}
-    yield "card", partial(_polarised, series, rig, seed.spawn(1)[0], np.inf, folder / "card")
+    _polarised(series, rig, seed.spawn(1)[0], np.inf, folder / "card")
+    yield "ball"
     # behind a crossed analyser the ball is exposed up to 64 times longer than to that level
     longest = 64.0 * _BRIGHTEST_LEVEL / float(ball.light([rig.films.leds[0]]).max())
     series = {"white": ball, "white_crossed": replace(ball, camera=away, analyser_deg=90.0)}
-    yield "ball", partial(_polarised, series, rig, seed.spawn(1)[0], longest, folder / "ball")
+    _polarised(series, rig, seed.spawn(1)[0], longest, folder / "ball")
 
 
-def _polarised(  # noqa: PLR0917
+def _polarised(
     series: Mapping[str, LitScene],
     rig: Rig,
     seed: np.random.SeedSequence,
     longest: float,
     folder: Path,
-    target: Path,
 ) -> None:
     """A capture folder of what is behind films under every white LED, each image with its own
     exposure."""
@@ -202,9 +208,7 @@ def _polarised(  # noqa: PLR0917
         polarisation = "parallel" if name == "white" else "crossed"
         bands[name] = _band(name, pixels, films.leds, exposures, polarisation=polarisation)
     drawn = nominal_rig(rig.camera.image_size[0] / 2200)
-    write_capture(
-        Capture(rig=drawn, bands=bands, material="opaque"), target / folder, overwrite=True
-    )
+    write_capture(Capture(rig=drawn, bands=bands, material="opaque"), folder, overwrite=True)
 
 
 def _band(
@@ -219,30 +223,27 @@ def _band(
     return Band(name, stack, groups, np.array(exposures), black, **more)
 
 
-def _one(
-    scene: LitScene, lit: Sequence[int], seed: np.random.SeedSequence, name: Path, target: Path
-) -> None:
+def _one(scene: LitScene, lit: Sequence[int], seed: np.random.SeedSequence, file: Path) -> None:
     pixels = photograph_bench(scene, lit, seed, exposure=well_exposed(scene, [lit]))
-    (target / name).parent.mkdir(exist_ok=True, parents=True)
-    write_image(target / name, pixels)
+    write_image(file, pixels)
 
 
-def _series(scene: LitScene, seed: np.random.SeedSequence, folder: Path, target: Path) -> None:
+def _series(scene: LitScene, seed: np.random.SeedSequence, folder: Path) -> None:
     """One photograph under every LED, each band at its own exposure."""
-    (target / folder).mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True)
     for band in ("white", "nir"):
         members = [k for k, led in enumerate(scene.leds) if led.band == band]
         exposure = well_exposed(scene, [[k] for k in members])
         for number, k in enumerate(members):
             pixels = photograph_bench(scene, [k], seed.spawn(1)[0], exposure=exposure, band=band)
-            write_image(target / folder / f"{band}_{number}.png", pixels)
+            write_image(folder / f"{band}_{number}.png", pixels)
 
 
 _CARD_EXPOSURES_S = (0.002, 0.004, 0.006, 0.008, 0.010, 0.012)
 """Of the series of the white card, which shows the sensor's response."""
 
 
-def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, target: Path) -> None:
+def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, folder: Path) -> None:
     """A capture folder of the card, and an exposure series."""
     bands = {}
     for name in ("white", "nir"):
@@ -256,7 +257,6 @@ def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, target: Path
         bands[name] = _band(name, images, members, [1.0] * len(members), ambient=Ambient(ambient))
     # the folder's rig is the one that is known before the calibration: the drawing's
     drawn = replace(nominal_rig(rig.camera.image_size[0] / 2200), provenance={"source": "as drawn"})
-    folder = target / "card"
     write_capture(Capture(rig=drawn, bands=bands, material="opaque"), folder, overwrite=True)
     steps = []
     brightest = well_exposed(scene, [[0]], _BRIGHTEST_LEVEL)
@@ -342,7 +342,7 @@ def drawn_films(
     films = Films(
         leds=leds,
         leak=tuple(ball.leak(k) for k in leds),
-        brightness=tuple((float(r), float(g), float(b)) for r, g, b in tint),
+        brightness=tuple(map(triple, tint)),
         shift_px=(float(x), float(y)),
         scale=float(1.0 + rng.normal(0.0, 5e-4)),
     )

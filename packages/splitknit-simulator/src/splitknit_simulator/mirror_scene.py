@@ -9,9 +9,8 @@ import numpy as np
 
 from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
-from splitknit.model import BoolArray, FloatArray, PixelArray
+from splitknit.model import Array, BoolArray, FloatArray, PixelArray
 from splitknit_simulator.light.lighting import (
-    LED_RADIUS_MM,
     Patch,
     cut_out,
     finger_window,
@@ -44,7 +43,7 @@ from splitknit_simulator.scene import (
     brightest,
     finger_depth,
 )
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Window
 
 
 def _light_through(
@@ -56,10 +55,8 @@ def _light_through(
     for light in lights:
         # light from straight behind, where nothing is lit
         with np.errstate(divide="ignore", invalid="ignore"):
-            parts = light_on(patch, light.led, roughness, LED_RADIUS_MM)
-        fraction = (
-            1 if light.gate is None else light.gate.fraction(patch.points, light.led, LED_RADIUS_MM)
-        )
+            parts = light_on(patch, light.led, roughness)
+        fraction = 1 if light.gate is None else light.gate.fraction(patch.points, light.led)
         entering += parts[0] * fraction
         gloss += parts[1] * fraction
     return entering, gloss
@@ -238,9 +235,7 @@ class MirrorScene:
         return frame
 
 
-def _put(
-    frame: FloatArray, surface: SimulatedSurface, window: tuple[slice, slice], light: FloatArray
-) -> None:
+def _put(frame: FloatArray, surface: SimulatedSurface, window: Window, light: FloatArray) -> None:
     """Write the light of a finger (C, h, w) over `frame` (H, W, 3) where the finger is seen, in
     place."""
     colours = np.broadcast_to(np.moveaxis(light, 0, -1), frame[window].shape)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Camera, Capture, Mirror, Rig
 from splitknit.errors import require
-from splitknit.model import BoolArray
+from splitknit.model import Array, BoolArray
 from splitknit_simulator.camera.lens import picture_on_plane
 from splitknit_simulator.finger.finger import (
     FingerPose,
@@ -28,7 +26,7 @@ from splitknit_simulator.mirror_scene import MirrorScene
 from splitknit_simulator.mirror_view import ReflectedView, as_built, mirror_view
 from splitknit_simulator.rigs import mirror_rig, stop_y_mm
 from splitknit_simulator.scene import TwinSettings, places_truth, surface_truth, take_capture
-from splitknit_simulator.surface import Array
+from splitknit_simulator.surface import Truth, soft_step
 
 
 def rig_with_mirrors(settings: TwinSettings) -> Rig:
@@ -44,11 +42,10 @@ def rig_with_mirrors(settings: TwinSettings) -> Rig:
         f"the rig has no {unknown[0] if unknown else ''} mirror; it has"
         f" {', '.join(names) or 'none'}: add it to the rig file, or leave out the rig.",
     )
-    leds = rig.leds if views.nir else tuple(led for led in rig.leds if led.band != "nir")
     mirrors = tuple(
         mirror for mirror in rig.mirrors if not views.names or mirror.name in views.names
     )
-    return replace(rig, leds=leds, mirrors=mirrors)
+    return replace(rig, leds=views.leds_of(rig), mirrors=mirrors)
 
 
 def poses_between_mirrors(ranges: PoseRanges, settings: TwinSettings, camera: Camera) -> PoseRanges:
@@ -73,7 +70,7 @@ class Drawn:
 
 def photograph_between_mirrors(
     drawn: Drawn, seed: int, settings: TwinSettings
-) -> tuple[Capture, dict[str, NDArray[Any]]]:
+) -> tuple[Capture, Truth]:
     """Photograph a finger between the mirrors of a rig under every LED; the truth's arrays:
     ``docs/explain/simulator.md``.
 
@@ -130,8 +127,7 @@ def _bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinM
     across = u0 + skin.pitch_mm * np.arange(columns)
     beyond = np.maximum(v0 - skin.pitch_mm * np.arange(rows) - reach, 0.0)
     arc = np.hypot(across[None, :], beyond[:, None])
-    fraction = np.clip(0.5 - (arc - limit) / 3.0, 0.0, 1.0)  # ridges fade over 3 mm
-    fraction = fraction * fraction * (3.0 - 2.0 * fraction)
+    fraction = soft_step(0.5 - (arc - limit) / 3.0)  # ridges fade over 3 mm
     shaded = np.asarray(1.0 - fraction * (1.0 - pigment), dtype=np.float32)
     return replace(skin, coefficients=coefficients * fraction, pigment=shaded, u0_mm=u0, v0_mm=v0)
 
@@ -154,14 +150,10 @@ def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None
 # What the twin knows of a finger between mirrors: the views, the true mirrors, the skin all around.
 
 
-def _view_truth(
-    views: Sequence[ReflectedView], masks: Sequence[BoolArray]
-) -> dict[str, NDArray[Any]]:
+def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> Truth:
     """The true mirrors, and what each view shows where `masks` (H, W) leave it visible: behind its
     mirror."""
-    truth: dict[str, NDArray[Any]] = {
-        "mirror_names": np.array([view.mirror.name for view in views])
-    }
+    truth: Truth = {"mirror_names": np.array([view.mirror.name for view in views])}
     for view, mask in zip(views, masks, strict=True):
         mirror, surface = view.mirror, view.surface
         arrays = {
@@ -183,9 +175,7 @@ def _view_truth(
     return truth
 
 
-def _body_truth(
-    body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm: float
-) -> dict[str, NDArray[Any]]:
+def _body_truth(body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm: float) -> Truth:
     """The whole finger on a grid of places along it and angles around it, in the rig's frame.
 
     Rows are evenly spaced along the finger's axis, from behind the first crease to the tip; columns

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from splitknit import Camera, Led, Mirror
 from splitknit.errors import require
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_simulator.camera.lens import pixels_of_points
 from splitknit_simulator.finger.raycast import (
     PlacedFinger,
     Placement,
     surface_of,
 )
-from splitknit_simulator.light.lighting import Vectors
-from splitknit_simulator.rigs import SIDES, MirrorSettings
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.light.lighting import LED_RADIUS_MM, Vectors
+from splitknit_simulator.rigs import SIDES, MirrorSettings, triple
+from splitknit_simulator.surface import SimulatedSurface, Window, soft_step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,9 +53,9 @@ class _Reflection:
         others = tuple(self.led(lamp, reflectance) for lamp in led.also)
         image = replace(led, intensity=led.intensity * reflectance, also=others, reflected=True)
         if led.position_mm is None:
-            return replace(image, direction=_triple(self.vectors(np.asarray(led.direction))))
-        position = _triple(self.points(np.asarray(led.position_mm)))
-        return replace(image, position_mm=position, aim=_triple(self.vectors(led.axis)))
+            return replace(image, direction=triple(self.vectors(np.asarray(led.direction))))
+        position = triple(self.points(np.asarray(led.position_mm)))
+        return replace(image, position_mm=position, aim=triple(self.vectors(led.axis)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,8 +68,8 @@ class _Gate:
         """The same outline behind a mirror."""
         return _Gate(reflection.points(self.corners))
 
-    def fraction(self, points: Vectors, led: Led, radius_mm: float) -> NDArray[np.float32]:
-        """Fraction of an LED's face, of `radius_mm`, that points see through the outline: 0 to 1,
+    def fraction(self, points: Vectors, led: Led) -> NDArray[np.float32]:
+        """Fraction of an LED's face that points see through the outline: 0 to 1,
         their shape."""
         x, y, z = points
         middle, normal, inwards = self._frame()
@@ -89,9 +89,9 @@ class _Gate:
         for (ex, ey, ez), distance in inwards:
             inside = np.minimum(inside, qx * ex + qy * ey + qz * ez + distance)
         ahead = (crossing > 0.0) & (crossing < (1.0 if near else np.inf))
-        soft = np.maximum(radius_mm * crossing, 1e-3) if near else 1e-3
-        fraction = np.clip(0.5 + 0.5 * inside / np.where(ahead, soft, 1.0), 0.0, 1.0)
-        return np.where(ahead, fraction * fraction * (3.0 - 2.0 * fraction), 0.0).astype(np.float32)
+        soft = np.maximum(LED_RADIUS_MM * crossing, 1e-3) if near else 1e-3
+        fraction = soft_step(0.5 + 0.5 * inside / np.where(ahead, soft, 1.0))
+        return np.where(ahead, fraction, 0.0).astype(np.float32)
 
     def _frame(self) -> tuple[Array, Array, list[tuple[Array, float]]]:
         """Middle, normal, and for every edge its inward direction and the middle's distance from
@@ -137,21 +137,15 @@ def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tup
     drawing."""
     drawn = []
     for mirror in mirrors:
-        rng = np.random.default_rng(
-            np.random.SeedSequence([seed, 0x3117, SIDES.index(mirror.name)])
-        )
+        rng = np.random.default_rng([seed, 0x3117, SIDES.index(mirror.name)])
         # larger turns (deg) and shifts (mm), about or along any axis, are cut
         turn = np.clip(views.turn_sd_deg * rng.standard_normal(3), -3.0, 3.0)
         shift = np.clip(views.shift_sd_mm * rng.standard_normal(3), -2.0, 2.0)
         rotation = np.asarray(cv2.Rodrigues(np.deg2rad(turn))[0], dtype=np.float64)
         middle = mirror.point_mm
         corners = (np.asarray(mirror.corners_mm) - middle) @ rotation.T + middle + shift
-        drawn.append(replace(mirror, corners_mm=tuple(_triple(corner) for corner in corners)))
+        drawn.append(replace(mirror, corners_mm=tuple(map(triple, corners))))
     return tuple(drawn)
-
-
-def _triple(values: Array) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 # What a camera sees in a mirror: the surface of the reflected finger.
@@ -161,7 +155,7 @@ def _triple(values: Array) -> tuple[float, float, float]:
 class Coverage:
     """How much of each pixel something flat covers."""
 
-    window: tuple[slice, slice]  # rows and columns of the frame; empty where it lies outside
+    window: Window  # rows and columns of the frame; empty where it lies outside
     fraction: FloatArray  # (h, w) inside the window, 0 to 1
 
 
@@ -248,9 +242,7 @@ _SHOWN_PROXIMAL_MM = 32.0
 """From the first crease towards the palm, where the hand's sleeve begins."""
 
 
-def _surface(
-    finger: PlacedFinger, camera: Camera, box: tuple[slice, slice], workers: int
-) -> SimulatedSurface:
+def _surface(finger: PlacedFinger, camera: Camera, box: Window, workers: int) -> SimulatedSurface:
     """The first points of a placed finger on the rays of a part of the camera's pixels."""
     body, placement = finger.body, finger.placement
     shape = body.shape

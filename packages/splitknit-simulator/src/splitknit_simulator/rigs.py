@@ -12,11 +12,10 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
-from splitknit.model import COLOURS
+from splitknit.model import COLOURS, Array
 from splitknit.nominal import (
     CROSSTALK,
     HALF_ANGLE_DEG,
@@ -27,7 +26,11 @@ from splitknit.nominal import (
 )
 from splitknit.settings import Checked, Limits, check_fields
 
-Array = NDArray[np.float64]
+
+def triple(values: Array) -> tuple[float, float, float]:
+    """Three numbers of an array (3,)."""
+    return float(values[0]), float(values[1]), float(values[2])
+
 
 _SIDE_ARC_DEG = (-25.0, 205.0)
 """Azimuths of the first and the last light to the side. Source: drawing, hardware/films.py."""
@@ -65,7 +68,7 @@ def built_rig(seed: int, *, scale: float = 1.0) -> Rig:
     """
     require(seed >= 0, f"seed must not be negative, but it is {seed}.")
     drawn = nominal_rig(scale)
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB1]))
+    rng = np.random.default_rng([seed, 0xB1])
     camera = _built_camera(drawn.camera, rng)
     shift = np.array([*(0.3 * _normal(rng, 2)), 0.0])  # the play of the camera's screws
     tilt_deg = 0.3 * _normal(rng, 2)  # 0.15 mm over a seat of 25 mm
@@ -138,8 +141,8 @@ def _built_led(
     angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + 0.08 * half_angle)
     return replace(
         drawn,
-        position_mm=(float(position[0]), float(position[1]), float(position[2])),
-        aim=(float(aim[0]), float(aim[1]), float(aim[2])),
+        position_mm=triple(position),
+        aim=triple(aim),
         lobe_exponent=round(lobe_exponent(angle), 6),
         # one brightness bin spans a factor of 1.4; 5 % resistors add to it
         intensity=round(float(1.0 + 0.1 * intensity), 6),
@@ -265,6 +268,10 @@ class MirrorSettings(Checked):
             f" {list(self.names)}.",
         )
 
+    def leds_of(self, rig: Rig) -> tuple[Led, ...]:
+        """The rig's LEDs, without NIR ones where `nir` is false."""
+        return tuple(led for led in rig.leds if self.nir or led.band != "nir")
+
 
 # With mirrors, as it is drawn.
 
@@ -292,8 +299,8 @@ def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None) -> 
             [[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]]
         )
         camera = replace(camera, model="perspective", matrix=matrix)
-    leds = rig.leds if views.nir else tuple(led for led in rig.leds if led.band != "nir")
-    return replace(rig, camera=camera, leds=leds, mirrors=_nominal_mirrors(views, camera))
+    mirrors = _nominal_mirrors(views, camera)
+    return replace(rig, camera=camera, leds=views.leds_of(rig), mirrors=mirrors)
 
 
 def _nominal_mirrors(views: MirrorSettings, camera: Camera) -> tuple[Mirror, ...]:

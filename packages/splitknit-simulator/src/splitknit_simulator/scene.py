@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from splitknit import Ambient, Band, Camera, Capture, Led, Rig
 from splitknit.capture import spectral_band
 from splitknit.errors import require
-from splitknit.model import COLOURS, FloatArray, PixelArray
+from splitknit.model import COLOURS, Array, FloatArray, PixelArray
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
@@ -41,7 +41,7 @@ from splitknit_simulator.light.renderer import (
 )
 from splitknit_simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinOptics, SkinRanges
 from splitknit_simulator.rigs import MirrorSettings
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Truth, soft_step
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,10 +165,10 @@ class TwinSettings(Checked):
 # What is known about a capture, as plain arrays by name.
 
 
-def surface_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
+def surface_truth(surface: SimulatedSurface) -> Truth:
     """Heights, normals, mask, relief and landmarks; of a perspective camera also the points' x and
     y, and its lens."""
-    truth: dict[str, NDArray[Any]] = {
+    truth: Truth = {
         "height_mm": surface.height_mm,
         "shape_mm": surface.shape_mm,
         "mask": surface.mask,
@@ -184,7 +184,7 @@ def surface_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
     return truth | _flat("landmark", surface.landmarks)
 
 
-def places_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
+def places_truth(surface: SimulatedSurface) -> Truth:
     """(H, W) x and y of the skin's points under a perspective camera; the grid gives the others."""
     if surface.camera.model == "orthographic":
         return {}
@@ -192,11 +192,11 @@ def places_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
     return {"x_mm": x.astype(np.float32), "y_mm": y.astype(np.float32)}
 
 
-def optics_truth(skin: SkinOptics) -> dict[str, NDArray[Any]]:
+def optics_truth(skin: SkinOptics) -> Truth:
     """Return the coefficients by channel, in the order red, green, blue, NIR, and the parameters
     they come from."""
     media = [skin.channel(channel) for channel in CHANNELS]
-    truth: dict[str, NDArray[Any]] = {
+    truth: Truth = {
         "optics_channels": np.array(CHANNELS),
         "optics_scattering_per_mm": np.array([m.scattering_per_mm for m in media]),
         "optics_absorption_per_mm": np.array([m.absorption_per_mm for m in media]),
@@ -205,9 +205,9 @@ def optics_truth(skin: SkinOptics) -> dict[str, NDArray[Any]]:
     return truth | _flat("skin", asdict(skin))
 
 
-def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+def _flat(prefix: str, values: Mapping[str, Any]) -> Truth:
     """One array for each entry; what is inside mappings and lists of arrays gets longer names."""
-    result: dict[str, NDArray[Any]] = {}
+    result: Truth = {}
     for key, value in values.items():
         name = f"{prefix}_{key}"
         if isinstance(value, Mapping):
@@ -244,9 +244,8 @@ class Scene:
         # (H, 1) fraction of the light that reaches each row
         height = rig.camera.image_size[0]
         below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
-        fraction = np.clip(below, 0.0, 1.0)
-        smooth = fraction * fraction * (3.0 - 2.0 * fraction)
-        self.shade = (1.0 - settings.background.hand_shadow * smooth).astype(np.float32)[:, None]
+        shadow = settings.background.hand_shadow * soft_step(below)
+        self.shade = (1.0 - shadow).astype(np.float32)[:, None]
         self.films = films_of(settings, rig)
         self.scale = settings.sensor_scale or binning_scale(rig.camera)
         self.fall_off = fall_off(rig.camera) if rig.camera.shading else None
@@ -342,7 +341,7 @@ class Scene:
         return max(levels)
 
     @property
-    def _mixing(self) -> NDArray[np.float64]:
+    def _mixing(self) -> Array:
         crosstalk = self.rig.camera.crosstalk
         return np.eye(3) if crosstalk is None else np.asarray(crosstalk)
 
@@ -527,7 +526,7 @@ def films_of(settings: TwinSettings, rig: Rig) -> Films | None:
         not any(led.colour or led.also for led in rig.leds),
         "films stand before single white LEDs in the twin; leave out coloured LEDs, or films.kind.",
     )
-    rng = np.random.default_rng(np.random.SeedSequence([settings.rig_seed or 0, 0x57]))
+    rng = np.random.default_rng([settings.rig_seed or 0, 0x57])
     leds = [rig.leds[k] for k in members_of("white", rig, settings)]
     return mounted_films(settings.films, leds, rng)
 
@@ -536,7 +535,7 @@ def take_capture(
     scene: Scene,
     photograph: Callable[[str, np.random.SeedSequence], Taken],
     seed: np.random.SeedSequence,
-    truth: dict[str, NDArray[Any]],
+    truth: Truth,
 ) -> Capture:
     """Photograph every band of a scene's rig; glare, exposures, optics and LEDs are added to
     `truth`."""

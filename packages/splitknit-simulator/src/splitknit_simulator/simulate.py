@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -140,15 +139,14 @@ def simulate(
     if what == "population":
         why = "does not go with a population."
         refuse_given(why, **of_a_finger, severity=severity, bench=bench, overwrite=overwrite)
+        population = {} if scale is None else {"scale": scale}
         return _population(
             Path(out),
-            seed,
-            scale,
-            settings or {},
+            {"seed": seed, **(settings or {}), **population},
+            fingers,
             subjects=subjects,
-            fingers=fingers,
             sessions=sessions,
-            prints=prints,
+            prints=None if prints is None else Path(prints),
             workers=2 if workers is None else workers,
             progress=progress,
         )
@@ -181,7 +179,12 @@ def simulate(
         together = "`bench` and `lights` do not go together: what is calibrated has white LEDs."
         require(lights == "white", together)
         return _bench(
-            Path(out), seed, scale or 0.5, changes, overwrite=overwrite, progress=progress
+            Path(out),
+            changes,
+            seed=seed,
+            scale=scale or 0.5,
+            overwrite=overwrite,
+            progress=progress,
         )
 
     from splitknit import write_capture
@@ -237,22 +240,12 @@ def simulate(
     )
 
 
-def _bench(
-    out: Path,
-    seed: int,
-    scale: float,
-    changes: Mapping[str, Any],
-    *,
-    overwrite: bool,
-    progress: Progress,
-) -> Report:
+def _bench(out: Path, changes: Mapping[str, Any], **how: Any) -> Report:
+    """Photograph a bench; `how`: see :func:`splitknit_simulator.bench_photos.bench_to_folder`."""
     from splitknit.settings import override
     from splitknit_simulator.bench_photos import BenchPhotos, bench_to_folder
 
-    photos = override(BenchPhotos(), changes)
-    facts = bench_to_folder(
-        out, seed=seed, scale=scale, photos=photos, overwrite=overwrite, progress=progress
-    )
+    facts = bench_to_folder(out, photos=override(BenchPhotos(), changes), **how)
     return Report(
         facts,
         (
@@ -269,37 +262,16 @@ def _bench(
     )
 
 
-def _population(
-    out: Path,
-    seed: int,
-    scale: float | None,
-    changes: Mapping[str, Any],
-    *,
-    subjects: int | None,
-    fingers: str | None,
-    sessions: int | None,
-    prints: AnyPath | None,
-    workers: int,
-    progress: Progress,
-) -> Report:
+def _population(out: Path, changes: Mapping[str, Any], fingers: str | None, **how: Any) -> Report:
+    """Simulate a population; `how`: see
+    :func:`splitknit_simulator.population.folder.simulate_population`."""
     from splitknit.io.enrolment import fingers_named
     from splitknit.settings import override
     from splitknit_simulator.population.folder import simulate_population
     from splitknit_simulator.population.sessions import PopulationSettings
 
-    population = override(PopulationSettings(seed=seed), changes)
-    if scale is not None:
-        population = replace(population, scale=scale)
-    facts = simulate_population(
-        out,
-        population,
-        subjects=subjects,
-        sessions=sessions,
-        fingers=fingers_named(fingers),
-        prints=None if prints is None else Path(prints),
-        workers=workers,
-        progress=progress,
-    )
+    population = override(PopulationSettings(), changes)
+    facts = simulate_population(out, population, fingers=fingers_named(fingers), **how)
     each = facts["seconds_per_capture"]
     speed = f", {each:.1f} s each" if each is not None else ""
     people = (

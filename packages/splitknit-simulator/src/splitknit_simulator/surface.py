@@ -10,12 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import Camera
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_simulator.camera.lens import SightLines, sight_lines
 
-Array = NDArray[np.float64]
+Window = tuple[slice, slice]
+"""Rows and columns of a part of a picture."""
+Truth = dict[str, NDArray[Any]]
+"""What the twin knows, arrays by name: see ``docs/explain/simulator.md``."""
 WATER_INDEX = 1.333
 """Refractive index of water. Source: Hale and Querry 1973."""
+
+
+def soft_step(place: Array) -> Array:
+    """A cubic from 0 at `place` 0 and below to 1 at 1 and above, level at both ends."""
+    inside = np.clip(place, 0.0, 1.0)
+    return inside * inside * (3.0 - 2.0 * inside)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,10 +41,10 @@ class Film:
 class Grains:
     """Opaque grains that rest on the skin, as N discs in the picture."""
 
-    column: NDArray[np.float64]
-    row: NDArray[np.float64]
-    radius_px: NDArray[np.float64]
-    albedo: NDArray[np.float64]
+    column: Array
+    row: Array
+    radius_px: Array
+    albedo: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +65,7 @@ class Coat:
     # for each channel: diffuse reflectance of the affected skin over that of the rest
     tint: Mapping[str, float] = field(default_factory=dict)
 
-    def truth(self) -> dict[str, NDArray[Any]]:
+    def truth(self) -> Truth:
         """Arrays by name for the capture's truth."""
         return {
             "condition_kind": np.array(self.kind),
@@ -106,7 +115,7 @@ class SimulatedSurface:
     coat: Coat | None = None  # what lies on the skin; None where it is clean and bare
     texture: Texture | None = None  # mottled blood and patches of sweat; None: even
 
-    def sight(self, window: tuple[slice, slice] = (slice(None), slice(None))) -> SightLines:
+    def sight(self, window: Window = (slice(None), slice(None))) -> SightLines:
         """Lines of sight of the pixels in these rows and columns; the skin's points lie on them."""
         rows, columns = (
             np.arange(size)[part] for size, part in zip(self.mask.shape, window, strict=True)

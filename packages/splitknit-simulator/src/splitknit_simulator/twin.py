@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from splitknit import Capture, Rig, read_rig
 from splitknit.errors import require
 from splitknit.io.images import read_image
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray, GreyArray
 from splitknit.nominal import default_rig
 from splitknit.settings import override
 from splitknit_simulator.finger.conditions import conditioned_surface
@@ -56,7 +56,7 @@ from splitknit_simulator.scene import (
     surface_truth,
     take_capture,
 )
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Truth, Window
 
 
 def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:
@@ -115,13 +115,13 @@ def master_of_print_file(
     return master_of_print(grey[:, ::-1] if mirrored else grey, seed, settings=settings)
 
 
-def _grey_print(path: Path) -> NDArray[np.uint8]:
+def _grey_print(path: Path) -> GreyArray:
     pixels = read_image(path)
     grey = pixels if pixels.ndim == 2 else pixels.mean(axis=-1)
     return np.asarray(grey / (np.iinfo(pixels.dtype).max / 255), np.uint8)
 
 
-def _inked(grey: NDArray[np.uint8]) -> BoolArray:
+def _inked(grey: GreyArray) -> BoolArray:
     """Where a print has ridges or the valleys between them; strokes thinner than 1 mm are left
     out."""
     dark = cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
@@ -142,7 +142,7 @@ def simulate_capture(
     *,
     impression: int = 0,
     finger: SimulatedFinger | None = None,
-) -> tuple[Capture, dict[str, NDArray[Any]]]:
+) -> tuple[Capture, Truth]:
     """Simulate one capture of one person's finger.
 
     Parameters
@@ -179,7 +179,8 @@ def simulate_capture(
         settings if isinstance(settings, TwinSettings) else override(TwinSettings(), settings or {})
     )
     if settings.motion.amplitude_mm > 0:
-        capture, truth = _photograph_moving(seed, pattern, settings, impression, finger)
+        drawn = drawn_finger(seed, pattern, settings, impression, finger)
+        capture, truth = _photograph_moving(drawn, settings, [seed, impression])
     elif settings.between_mirrors:
         drawn = drawn_finger(seed, pattern, settings, impression, finger)
         capture, truth = photograph_between_mirrors(drawn, seed, settings)
@@ -231,7 +232,7 @@ def drawn_finger(
     if settings.films.kind == "leds":
         rig = with_crossed_leds(rig)
     finger = finger or draw_finger(seed, pattern)
-    person = np.random.default_rng(np.random.SeedSequence([seed, 0x51]))
+    person = np.random.default_rng([seed, 0x51])
     pose_seed, photo_seed = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)
     skin = settings.skin if isinstance(settings.skin, SkinOptics) else settings.skin.draw(person)
     pose = settings.pose
@@ -247,8 +248,8 @@ def photograph(
     skin: SkinOptics,
     seed: np.random.SeedSequence,
     *,
-    settings: TwinSettings | None = None,
-) -> tuple[Capture, dict[str, NDArray[Any]]]:
+    settings: TwinSettings,
+) -> tuple[Capture, Truth]:
     """Photograph `surface`, on the pixels of `rig.camera`, under every LED of `rig`; `seed`: of
     background and noise.
 
@@ -256,7 +257,6 @@ def photograph(
     The truth's arrays by name: see ``docs/explain/simulator.md``. Raises BadInput if the surface
     does not fit the camera or is not in the picture.
     """
-    settings = settings or TwinSettings()
     require(
         surface.mask.shape == rig.camera.image_size,
         f"the surface has {surface.mask.shape} pixels, but the rig's camera has"
@@ -272,20 +272,16 @@ def photograph(
 
 
 def _photograph_moving(
-    seed: int,
-    pattern: str | None,
-    settings: TwinSettings,
-    impression: int,
-    finger: SimulatedFinger | None,
-) -> tuple[Capture, dict[str, NDArray[Any]]]:
-    """Photograph a finger that moves from shot to shot, the white band first.
+    drawn: Drawn, settings: TwinSettings, seed: list[int]
+) -> tuple[Capture, Truth]:
+    """Photograph a drawn finger that moves from shot to shot, the white band first; `seed`: of
+    person and impression.
 
-    Finger and pose are those of :func:`lay_down` in the reference shot, the middle one of the first
-    band. The truth is that of this shot, ``motion_reference``; ``motion_*`` describe the motion,
-    and ``glare_*`` lie where each shot shows the finger. A band's ambient frame goes with its first
-    shot; coloured LEDs of one exposure with one place.
+    Its pose is that of the reference shot, the middle one of the first band. The truth is that of
+    this shot, ``motion_reference``; ``motion_*`` describe the motion, and ``glare_*`` lie where
+    each shot shows the finger. A band's ambient frame goes with its first shot; coloured LEDs of
+    one exposure with one place.
     """
-    drawn = drawn_finger(seed, pattern, settings, impression, finger)
     rig = drawn.rig
     members = {name: members_of(name, rig, settings) for name in bands_of(rig, settings)}
     groups = {
@@ -297,13 +293,13 @@ def _photograph_moving(
         for name, exposed in groups.items()
         for group in exposed
     ]
-    path_seed, slip_seed = np.random.SeedSequence([seed, impression, 0x53]).spawn(2)
+    path_seed, slip_seed = np.random.SeedSequence([*seed, 0x53]).spawn(2)
     reference = sum(name == shots[0][0] for name, _ in shots) // 2
     path = draw_path(np.random.default_rng(path_seed), len(shots), settings.motion, reference)
     moving = moving_finger(drawn.finger, drawn.pose, rig.camera, path, slip_seed)
     background_seed, noise_seed = drawn.photo_seed.spawn(2)
     lit: dict[str, list[Shot]] = {}
-    truth: dict[str, NDArray[Any]] = {}
+    truth: Truth = {}
     # tremor blurs a shot during its exposure of 0.02 s
     exposed_px = 0.02 * rig.camera.px_per_mm
     for number, ((name, leds), surface) in enumerate(
@@ -329,7 +325,7 @@ def _photograph_moving(
     return take_capture(scene, photograph_band, noise_seed, truth), truth
 
 
-def _smear_kernel(length_px: NDArray[np.float64]) -> FloatArray:
+def _smear_kernel(length_px: Array) -> FloatArray:
     """(n, n) kernel of a straight path of `length_px` (columns, rows), its middle in the middle."""
     reach = int(np.ceil(np.abs(length_px).max() / 2)) + 1
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1))
@@ -357,23 +353,20 @@ class FingerScene:
     def __init__(
         self,
         seed: int,
-        pattern: str | None = None,
-        settings: TwinSettings | None = None,
+        pattern: str | None,
+        settings: TwinSettings,
         *,
         impression: int = 0,
-        finger: SimulatedFinger | None = None,
     ) -> None:
         """Lay a finger down, drawn as by :func:`simulate_capture`; `sensor` and `films` are not
         used here."""
-        settings = replace(settings or TwinSettings(), films=FilmSettings())
-        self.surface, drawn = lay_down(
-            seed, pattern, settings, impression=impression, finger=finger
-        )
+        settings = replace(settings, films=FilmSettings())
+        self.surface, drawn = lay_down(seed, pattern, settings, impression=impression)
         self.settings, self.rig, self.skin = settings, drawn.rig, drawn.skin
         self.camera, self.leds = drawn.rig.camera, drawn.rig.leds
         rng = np.random.default_rng(drawn.photo_seed.spawn(1)[0])
         self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
-        self._bands: dict[str, tuple[tuple[slice, slice], HalfArray]] = {}
+        self._bands: dict[str, tuple[Window, HalfArray]] = {}
         """Window, and planes (L, C, h, w) of diffuse light and glare, C = 3 (white) or 1 (NIR);
         half floats, whose steps are a tenth of the noise."""
         self._room: FloatArray | None = None
@@ -403,13 +396,13 @@ class FingerScene:
             )
         return scene.through_lens(frame)
 
-    def truth(self) -> dict[str, NDArray[Any]]:
+    def truth(self) -> Truth:
         """Arrays by name: heights, normals, mask, landmarks and optics, see
         ``docs/explain/simulator.md``."""
         intensities = {"led_intensity": np.array([led.intensity for led in self.leds])}
         return surface_truth(self.surface) | optics_truth(self.skin) | intensities
 
-    def _rendered(self, name: str) -> tuple[tuple[slice, slice], HalfArray]:
+    def _rendered(self, name: str) -> tuple[Window, HalfArray]:
         if name not in self._bands:
             require(name in BAND_CHANNELS, f"the twin's LEDs are white or nir, not '{name}'.")
             light = self._scene.render(name, [led for led in self.leds if led.band == name])

@@ -102,12 +102,7 @@ def _target_scene(
 ) -> tuple[LitScene, str]:
     """Return a target under the rig, and what it is; the seed draws its place where it has one."""
     if name == "nail":
-        x, y = (
-            np.random.default_rng(np.random.SeedSequence([seed, 0x7A]))
-            .uniform(-8.0, 8.0, 2)
-            .round(2)
-            .tolist()
-        )
+        x, y = np.random.default_rng([seed, 0x7A]).uniform(-8.0, 8.0, 2).round(2).tolist()
         return (
             NailScene(**under, position_mm=(x, y)),
             f"a nail of 13 mm stood at x {x}, y {y} mm",

@@ -212,4 +212,6 @@ def test_a_reversed_pose_range_is_refused():
 
 def test_a_rig_of_another_camera_than_the_surface_is_refused(egg):
     with bad_input("camera has"):
-        photograph(egg, default_rig(0.5), SkinOptics(), np.random.SeedSequence(0))
+        photograph(
+            egg, default_rig(0.5), SkinOptics(), np.random.SeedSequence(0), settings=TwinSettings()
+        )

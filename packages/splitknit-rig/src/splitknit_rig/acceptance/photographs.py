@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,22 +33,15 @@ PARTS = ("card", "phantom", "ball", "finger_1", "finger_2")
 """Folders of the photographs, in the order in which they are taken."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Photographs:
-    """All photographs by which a rig is judged."""
+def read_photographs(
+    folders: Mapping[str, Path], rig: Rig
+) -> tuple[dict[str, Taken], tuple[Array, Array], dict[str, str]]:
+    """Read the capture folders of `PARTS`. Returns the captures, the card's exposure series, and
+    hashes of all files. Raises BadInput if a folder is not a capture, or comes from another camera.
 
-    card: Taken
-    phantom: Taken
-    ball: Taken
-    finger: tuple[Taken, Taken]
-    series: tuple[Array, Array]
-    """Values (J, N) of the card at J exposures, as fractions of full scale, and time times gain
-    (J,); empty if the card's photographs cannot be used."""
-
-
-def read_photographs(folders: Mapping[str, Path], rig: Rig) -> tuple[Photographs, dict[str, str]]:
-    """Read the capture folders of `PARTS`, and hashes of their files. Raises BadInput if a folder
-    is not a capture, or comes from another camera."""
+    The series is values (J, N) of the card at J exposures, as fractions of full scale, and time
+    times gain (J,); empty if the card's photographs cannot be used.
+    """
     captures: dict[str, Taken] = {}
     hashes: dict[str, str] = {}
     for part, folder in folders.items():
@@ -68,7 +61,8 @@ def read_photographs(folders: Mapping[str, Path], rig: Rig) -> tuple[Photographs
         )
         hashes |= {f"{part}/{name}": digest for name, digest in capture.hashes.items()}
     own: dict[str, str] = {}
-    card, phantom, ball = (_parallel(captures[part]) for part in PARTS[:3])
+    captures |= {part: _parallel(captures[part]) for part in PARTS[:3]}
+    card = captures["card"]
     series: tuple[Array, Array] | None = np.empty((0, 0)), np.empty(0)
     if isinstance(card, Capture):
         series = exposure_series(folders["card"], card, own)
@@ -79,8 +73,7 @@ def read_photographs(folders: Mapping[str, Path], rig: Rig) -> tuple[Photographs
     )
     assert series is not None
     hashes |= {f"card/{name}": digest for name, digest in own.items()}
-    finger = captures["finger_1"], captures["finger_2"]
-    return Photographs(card, phantom, ball, finger, series), hashes
+    return captures, series, hashes
 
 
 def _parallel(capture: Taken) -> Taken:
@@ -93,18 +86,24 @@ def _parallel(capture: Taken) -> Taken:
     return replace(capture, bands=bands)
 
 
-def answers_of(taken: Photographs, rig: Rig, ball_mm: float, progress: Progress) -> list[Answer]:
-    """Ask all questions."""
+def answers_of(
+    taken: Mapping[str, Taken],
+    series: tuple[Array, Array],
+    rig: Rig,
+    ball_mm: float,
+    progress: Progress,
+) -> list[Answer]:
+    """Ask all questions of what :func:`read_photographs` returned."""
     progress("card", 0.5)
     plane = CardPlane(0.0, base_tilt_deg(rig))
-    answers = answers_of_sensor(taken.card, *taken.series)
-    answers += answers_of_card(taken.card, rig, plane)
+    answers = answers_of_sensor(taken["card"], *series)
+    answers += answers_of_card(taken["card"], rig, plane)
     progress("ball", 0.6)
-    answers += answers_of_ball(taken.ball, rig, ball_mm)
+    answers += answers_of_ball(taken["ball"], rig, ball_mm)
     progress("phantom", 0.65)
-    answers += answers_of_phantom(taken.phantom)
+    answers += answers_of_phantom(taken["phantom"])
     progress("finger", 0.7)
-    return answers + answers_of_finger(*taken.finger)
+    return answers + answers_of_finger(taken["finger_1"], taken["finger_2"])
 
 
 def take_photographs(

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from splitknit import BadInput, Capture, Reconstruction, Rig, reconstruct
@@ -44,95 +43,84 @@ from splitknit_rig.capture.shots import MAX_CROSSED, SHINE_PERCENTILE
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
-    """What is asked, and the limit of the answer."""
+class Answer:
+    """One row of the acceptance test: a question with its limit, and what was measured."""
 
-    words: str
+    question: str
     limit: float
     unit: str
     at_least: bool = False
     """Whether the limit is the smallest value that passes, not the largest."""
+    measured: float | None = None
+    """None if the photographs could not be used; `note` gives the reason."""
+    passed: bool = False
+    note: str = ""
+    """The LED or band that was measured, or the reason why nothing was."""
 
 
 # What the limits let through. A rig with one defect at its limit adds at most 0.1 mm rms to a
 # finger's surface and 5 % to the error of its ridges, except motion and focus
 # (validation/rig_check, effects.csv).
-DARK = Question("dark level", 1.0, "% of full scale")
+DARK = Answer("dark level", 1.0, "% of full scale")
 """Beyond the black level that the capture states; subtracting an ambient frame removes it. Chosen
 on: judgement, checked on simulated fingers (effects.csv). Range: up to 2, with ambient frames."""
-LINEAR = Question("linearity", 0.5, "% of full scale")
+LINEAR = Answer("linearity", 0.5, "% of full scale")
 """1 % adds 0.03 to 0.11 mm rms to a finger's surface and up to 5 % to the error of its ridges; the
 sound twins have 0.03 %. Chosen on: simulated fingers (effects.csv). Range: at 2 up to 0.24 mm."""
-LIT = Question("LEDs that do not light", 0.0, "LEDs")
-SPECKS = Question("specks on sensor, lens or card", 3.0, "specks")
+LIT = Answer("LEDs that do not light", 0.0, "LEDs")
+SPECKS = Answer("specks on sensor, lens or card", 3.0, "specks")
 """Places that are darker than their surroundings by `_SPECK` in the mean of all images, or stuck
 pixels that are brighter by as much. A factor common to all images does not change the measured
 slope, so a few specks do no harm."""
 _SPECK = 0.03  # of the light around it; the card's calibration leaves out what departs by 0.02
-EXPOSED = Question("darkest card", 25.0, "% of full scale", at_least=True)
+EXPOSED = Answer("darkest card", 25.0, "% of full scale", at_least=True)
 """99th percentile. At the limit, ridges have up to 2 % more error. Chosen on: judgement, checked on
 simulated fingers (effects.csv). Range: at 12.5 up to 3 %."""
-BRIGHT = Question("brightness by light", 3.0, "% off the rig file")
+BRIGHT = Answer("brightness by light", 3.0, "% off the rig file")
 """Relative to the LED's band. One LED at the limit adds 0.03 to 0.08 mm rms to a finger's surface
 and 2 % to the error of its ridges. Chosen on: judgement, checked on simulated fingers
 (effects.csv). Range: at 6 up to 0.19 mm."""
-BEAM = Question("light across the card", 1.0, "% off the rig file")
+BEAM = Answer("light across the card", 1.0, "% off the rig file")
 """Robust standard deviation. One LED at the limit, which is tilted by 1.7 deg, adds 0.01 mm rms to
 a finger's surface. Chosen on: judgement, checked on simulated fingers (effects.csv). Range: the
 same up to 2."""
-FLAT = Question("flatness of the card", 1.0, "deg rms")
-LEAK = Question("light leaks", 1.0, "% of an LED's light")
+FLAT = Answer("flatness of the card", 1.0, "deg rms")
+LEAK = Answer("light leaks", 1.0, "% of an LED's light")
 """With all LEDs off. An LED that leaks as much adds up to 0.02 mm rms to a finger's surface. Chosen
 on: judgement, checked on simulated fingers (effects.csv). Range: at 2 up to 0.04 mm."""
-RIDGES = Question("ridges of the phantom", 0.9, "correlation", at_least=True)
+RIDGES = Answer("ridges of the phantom", 0.9, "correlation", at_least=True)
 """Correlation with the drawn ridges, for pixels of 0.07 mm or less; the sound twin has 0.97. Chosen
 on: simulated phantom (validation/rig_check)."""
-SHARP = Question("ridges of the phantom, fine over coarse", 0.81, "of the height", at_least=True)
+SHARP = Answer("ridges of the phantom, fine over coarse", 0.81, "of the height", at_least=True)
 """The lens's blur, where a pixel is 0.07 mm or less: rigs in focus at f/2 have 0.84 to 0.86, rigs
 that are 6 mm out of focus 0.76, which adds 19 to 33 % to the error of a finger's ridges; 3 mm cost
 nothing. A print 20 % too low lowers it by 0.014. Chosen on: simulated phantom
 (validation/rig_check, seeds 100 and 101): the middle of both."""
-RADIUS = Question("radius of the ball", 2.0, "% off the true one")
+RADIUS = Answer("radius of the ball", 2.0, "% off the true one")
 """The finger's lengths have the same relative error, its heights 0.01 mm rms. Chosen on: judgement,
 checked on simulated fingers (effects.csv)."""
-ORDER = Question("LEDs out of order", 0.0, "LEDs")
-AIMED = Question("direction of each LED", 0.6, "deg off the rig file")
+ORDER = Answer("LEDs out of order", 0.0, "LEDs")
+AIMED = Answer("direction of each LED", 0.6, "deg off the rig file")
 """After the common rotation of all LEDs is removed. Calibration leaves 0.12 deg per axis, so in one
 of 20,000 rigs an LED of the 14 exceeds 0.6; an LED 2 mm off its place deviates by 0.8. One LED 1
 deg off adds up to 0.03 mm rms to a finger's surface (effects.csv)."""
-TURNED = Question("turn of all LEDs together", 0.5, "deg")
+TURNED = Answer("turn of all LEDs together", 0.5, "deg")
 """Calibration leaves a standard deviation of 0.09 deg; the limit is five times that. A finger's
 surface hardly changes: at 2 deg by less than 0.01 mm rms (effects.csv)."""
-SMEAR = Question("smear of every shot", 0.08, "mm")
+SMEAR = Answer("smear of every shot", 0.08, "mm")
 """Length of a straight motion during the exposure: at the limit, ridges 0.45 mm apart that lie
 across it keep sinc(0.08 / 0.45) = 0.95 of their contrast."""
-REPEAT = Question("repeatability of the finger", 0.9, "correlation", at_least=True)
+REPEAT = Answer("repeatability of the finger", 0.9, "correlation", at_least=True)
 """Correlation of the ridges of two captures. Thirty sound twins have 0.95 or more. Chosen on:
 simulated fingers (validation/rig_check, seeds 100 to 104)."""
-FLICKER = Question("flicker", 3.0, "% from one shot to the next")
+FLICKER = Answer("flicker", 3.0, "% from one shot to the next")
 """Change of an LED's brightness between the two captures, relative to its band, in strips of rows.
 The limit is that of a steady LED's deviation from the rig file."""
-STILL = Question("motion of the finger", 0.13, "mm")
+STILL = Answer("motion of the finger", 0.13, "mm")
 """Between the shots; a capture has the same limit. It costs more than any other limit: 39 to 55 %
 more error in the ridges. The sound twins have 0.04. Chosen on: judgement, checked on simulated
 fingers (effects.csv). Range: at 0.26 up to 150 %."""
-FILMS = Question("crossed films, where the finger shines", 100 * MAX_CROSSED, "% of parallel light")
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """One row of the acceptance test."""
-
-    question: str
-    measured: float | None
-    """None if the photographs could not be used; `note` gives the reason."""
-    limit: float
-    unit: str
-    passed: bool
-    at_least: bool = False
-    """Whether the limit is the smallest value that passes, not the largest."""
-    note: str = ""
-    """The LED or band that was measured, or the reason why nothing was."""
+FILMS = Answer("crossed films, where the finger shines", 100 * MAX_CROSSED, "% of parallel light")
 
 
 Taken = Capture | BadInput
@@ -146,25 +134,20 @@ def _used(capture: Taken) -> Capture:
     return capture
 
 
-def _answer(question: Question, measured: float | None, note: str = "") -> Answer:
-    passed = measured is not None and math.isfinite(measured)
-    if passed and measured is not None:
-        passed = measured >= question.limit if question.at_least else measured <= question.limit
-        measured = float(f"{measured:.4g}")
-    else:
-        measured = None
-    return Answer(
-        question.words, measured, question.limit, question.unit, passed, question.at_least, note
-    )
+def _answer(question: Answer, measured: float, note: str = "") -> Answer:
+    if not math.isfinite(measured):
+        return replace(question, note=note)
+    passed = measured >= question.limit if question.at_least else measured <= question.limit
+    return replace(question, measured=float(f"{measured:.4g}"), passed=passed, note=note)
 
 
-def _asked(questions: Sequence[Question], ask: Callable[[], Iterable[Answer]]) -> list[Answer]:
+def _asked(questions: Sequence[Answer], ask: Callable[[], Iterable[Answer]]) -> list[Answer]:
     """The answers; if the photographs cannot be used, one failed answer per question, with the
     reason."""
     try:
         return list(ask())
     except BadInput as error:
-        return [_answer(question, None, str(error)) for question in questions]
+        return [replace(question, note=str(error)) for question in questions]
 
 
 # The card.
@@ -207,7 +190,8 @@ def answers_of_card(card: Taken, rig: Rig, plane: CardPlane) -> list[Answer]:
         for question, off in ((BRIGHT, np.abs(own - 1)), (BEAM, beams)):
             percent = np.where(lit, 100 * off, 0.0)
             yield _answer(question, float(percent.max()), _beyond(percent, question.limit, rig))
-        slopes = {band: _slope_deg(images, rig, plane, own, band) for band in _bands(rig)}
+        bands = dict.fromkeys(led.band for led in rig.leds)
+        slopes = {band: _slope_deg(images, rig, plane, own, band) for band in bands}
         worst = max(slopes, key=lambda band: slopes[band])
         yield _answer(FLAT, slopes[worst], worst)
 
@@ -239,14 +223,6 @@ def _specks(card: Capture, px_per_mm: float) -> tuple[float, str]:
     return float(small.sum()), most if small.any() else ""
 
 
-def _bands(rig: Rig) -> list[str]:
-    return list(dict.fromkeys(led.band for led in rig.leds))
-
-
-def _members(rig: Rig, band: str) -> NDArray[np.intp]:
-    return np.flatnonzero([led.band == band for led in rig.leds])
-
-
 def _beyond(values: Any, limit: float, rig: Rig) -> str:
     """Names of the LEDs beyond a limit; if none is, of the LED with the largest value."""
     beyond = np.flatnonzero(np.asarray(values) > limit)
@@ -256,8 +232,7 @@ def _beyond(values: Any, limit: float, rig: Rig) -> str:
 
 def _slope_deg(images: CardImages, rig: Rig, plane: CardPlane, own: Array, band: str) -> float:
     """Angle (rms, deg) between the card's normal and the normals measured with a band's LEDs."""
-    leds = _members(rig, band)
-    leds = leds[own[leds] > _UNLIT]
+    leds = [k for k, led in enumerate(rig.leds) if led.band == band and own[k] > _UNLIT]
     points = plane.points(rig.camera, images.pixels)
     towards = np.stack([rays_to_led(rig.leds[k], points)[0] for k in leds])
     facing = np.stack([card_light(rig.camera, rig.leds[k], images.pixels, plane) for k in leds])
@@ -363,24 +338,24 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
             yield from _asked([FILMS], crossed)
 
     @cache
-    def laid_over() -> _LaidOver:
-        return _LaidOver.of(*results)
+    def laid_over() -> tuple[Array, float, BoolArray]:
+        return _laid_over(*results)
 
     def again() -> Iterator[Answer]:
         for result in results:
             spoilt = [str(each) for each in result.findings if each.severity == Severity.SPOILS]
             require(not spoilt, "".join(spoilt[:1]))
-        yield _answer(REPEAT, laid_over().likeness)
+        yield _answer(REPEAT, laid_over()[1])
 
     def flicker() -> Iterator[Answer]:
-        over = laid_over()
+        move, _, inside = laid_over()
         rig = _used(captures[0]).rig
         changes = np.zeros(len(rig.leds))
         first, second = (observe(_used(taken)).bands for taken in captures)
         for name in first.keys() & second.keys() - {"white_crossed"}:
             leds = [led for (led,) in first[name].lights]
-            after = np.stack([_moved(image, over.move) for image in second[name].grey])
-            changes[leds] = _changes(first[name].grey, after, over.inside)
+            after = np.stack([_moved(image, move) for image in second[name].grey])
+            changes[leds] = _changes(first[name].grey, after, inside)
         percent = 100 * changes
         yield _answer(FLICKER, float(percent.max()), _beyond(percent, FLICKER.limit, rig))
 
@@ -421,36 +396,26 @@ def _well_inside(result: Reconstruction) -> BoolArray:
     return eroded(result.mask & np.isfinite(result.height_mm), EROSION_MM / result.pitch_mm)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LaidOver:
-    """Alignment of the second capture's surface with the first."""
+def _laid_over(first: Reconstruction, second: Reconstruction) -> tuple[Array, float, BoolArray]:
+    """Shift between two surfaces where both show ridges: a map (2, 3) from columns and rows of the
+    first picture to those of the second, the correlation of the ridges, and (H, W) where both
+    surfaces are measured well."""
+    require(first.mask.shape == second.mask.shape, "the finger's two captures differ in size.")
 
-    move: Array
-    """(2, 3) map from columns and rows of the first picture to those of the second."""
-    likeness: float
-    """Correlation of the ridges."""
-    inside: BoolArray
-    """(H, W) where both surfaces are measured well."""
+    def ridges(result: Reconstruction) -> FloatArray:
+        relief = np.nan_to_num(np.where(result.mask, result.ridge_mm, 0.0)).astype(np.float32)
+        sharp = high_passed(relief, result.mask, BAND_SIGMA_MM / result.pitch_mm)
+        return np.where(_well_inside(result), sharp, 0.0).astype(np.float32)
 
-    @classmethod
-    def of(cls, first: Reconstruction, second: Reconstruction) -> _LaidOver:
-        """Find the shift between two surfaces, where both show ridges."""
-        require(first.mask.shape == second.mask.shape, "the finger's two captures differ in size.")
-
-        def ridges(result: Reconstruction) -> FloatArray:
-            relief = np.nan_to_num(np.where(result.mask, result.ridge_mm, 0.0)).astype(np.float32)
-            sharp = high_passed(relief, result.mask, BAND_SIGMA_MM / result.pitch_mm)
-            return np.where(_well_inside(result), sharp, 0.0).astype(np.float32)
-
-        a, b = ridges(first), ridges(second)
-        require(bool(a.any() and b.any()), "the finger shows too little skin.")
-        box = bounding_box(first.mask | second.mask)
-        shift, _ = cv2.phaseCorrelate(a[box], b[box])
-        move = np.column_stack([np.eye(2), np.array(shift)])
-        there = _moved(_well_inside(second).astype(np.float32), move)
-        inside = _well_inside(first) & (there > 0.99)
-        likeness = float(np.corrcoef(a[inside], _moved(b, move)[inside])[0, 1])
-        return cls(move, likeness, inside)
+    a, b = ridges(first), ridges(second)
+    require(bool(a.any() and b.any()), "the finger shows too little skin.")
+    box = bounding_box(first.mask | second.mask)
+    shift, _ = cv2.phaseCorrelate(a[box], b[box])
+    move = np.column_stack([np.eye(2), np.array(shift)])
+    there = _moved(_well_inside(second).astype(np.float32), move)
+    inside = _well_inside(first) & (there > 0.99)
+    likeness = float(np.corrcoef(a[inside], _moved(b, move)[inside])[0, 1])
+    return move, likeness, inside
 
 
 def _moved(image: FloatArray, move: Array) -> FloatArray:

@@ -20,7 +20,7 @@ from splitknit.imaging.view import plane_points
 from splitknit.io.photograph_files import natural_order, some_of
 from splitknit.io.photos import FORMATS, SUFFIXES, encoding_of, read_photo
 from splitknit.io.provenance import file_hash, plain_json, provenance
-from splitknit.model import Array, BoolArray, FloatArray, camera_without_scale
+from splitknit.model import Array, BoolArray, FloatArray, Point, camera_without_scale
 from splitknit.nominal import side_lights
 from splitknit.photometric.forward import matt_misfit
 from splitknit.photometric.places import (
@@ -33,8 +33,14 @@ from splitknit.photometric.places import (
     like_ground,
 )
 from splitknit_rig.calibration.light_sources import is_list, rig_without_leds, write_lights
-from splitknit_rig.calibration.lights import BANDS, led_name, led_of_file
-from splitknit_rig.calibration.lights_found import CalibratedLed, CalibratedLights, Point, point_of
+from splitknit_rig.calibration.lights import (
+    BANDS,
+    CalibratedLed,
+    led_name,
+    led_of_file,
+    point_of,
+)
+from splitknit_rig.calibration.lights_found import CalibratedLights
 from splitknit_rig.calibration.nail_photos import image_of_size, read_stack
 from splitknit_rig.calibration.sphere import (
     MIN_RIM_PX,
@@ -122,8 +128,8 @@ class _Measured:
     def is_low(self) -> BoolArray:
         """(L,) whether a light is too low to be used, or shows no highlight."""
         if self.places_mm is not None:
-            return np.asarray(~(self.places_mm[:, 2] >= 1.0))  # mm, the lowest of a list of lights
-        return np.asarray(~(self.directions[:, 2] > 0.05))
+            return ~(self.places_mm[:, 2] >= 1.0)  # mm, the lowest of a list of lights
+        return ~(self.directions[:, 2] > 0.05)
 
 
 def _by_fit(
@@ -429,8 +435,8 @@ def place_on_plane(rig: Rig, ball: Ball, names: Sequence[str]) -> BallPlace:
     camera = rig.camera
     leds = {led_name(rig.leds, k): led for k, led in enumerate(rig.leds)}
     eye = None
-    radius = ball.radius_px / camera.px_per_mm
-    middle = np.append(plane_points(camera, np.array([[ball.column, ball.row]]))[0], radius)
+    middle = np.array(_on_ground(ball, camera))
+    radius = float(middle[2])
     if camera.model == "perspective":  # above the finger plane it is seen larger, and further out
         scale = camera.height_mm / (camera.height_mm + radius)
         middle, radius = middle * scale, radius * scale

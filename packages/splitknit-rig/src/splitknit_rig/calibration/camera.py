@@ -218,7 +218,6 @@ class CameraCalibration:
     """A calibrated camera, with the views that it was fitted to."""
 
     lens: _LensFit
-    image_size: tuple[int, int]  # rows, columns
     # names of the views that were fitted; `lens.view_rms_px` is in their order
     used: tuple[str, ...]
     # views with too large an error: that error in pixels, when it was rejected
@@ -274,9 +273,7 @@ def fit_camera(
     coverage = float(across.mean())
     findings = _judged(lens, tilts, variety, coverage)
     used = tuple(names[k] for k in kept)
-    return CameraCalibration(
-        lens, image_size, used, rejected, repeated, tilts, variety, coverage, findings
-    )
+    return CameraCalibration(lens, used, rejected, repeated, tilts, variety, coverage, findings)
 
 
 def _without_repeats(views: list[Array], names: list[str]) -> tuple[list[int], dict[str, str]]:

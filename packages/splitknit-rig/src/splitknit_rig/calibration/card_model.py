@@ -105,7 +105,7 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     points = plane.points(camera, pixels)
     towards, distance = rays_to_led(led, points)
     along = np.maximum(-(towards @ led.axis), 1e-12)
-    facing = np.asarray(led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2)
+    facing = led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2
     return (
         facing
         * (towards @ plane.normal)

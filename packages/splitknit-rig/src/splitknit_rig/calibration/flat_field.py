@@ -200,8 +200,8 @@ def fit_flat_field(
         gloss_percent=100 * gloss,
         gloss_error=100 * gloss_error,
         card=plane,
-        rms_percent=np.asarray(100 * np.sqrt(np.mean(clean**2, axis=1))),
-        largest_percent=np.asarray(100 * np.abs(clean).max(axis=1)),
+        rms_percent=100 * np.sqrt(np.mean(clean**2, axis=1)),
+        largest_percent=100 * np.abs(clean).max(axis=1),
     )
 
 

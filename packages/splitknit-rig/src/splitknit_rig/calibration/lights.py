@@ -29,7 +29,7 @@ from splitknit import Camera, Led
 from splitknit.errors import refusing, require
 from splitknit.imaging.view import plane_points
 from splitknit.io.csv_table import csv_text
-from splitknit.model import Array
+from splitknit.model import Array, Point
 
 BANDS = ("white", "nir")
 LEDS_PER_BAND = 7
@@ -51,6 +51,11 @@ class Tip:
     nail: int
     nail_px: tuple[float, float]  # column and row of the nail
     tip_px: tuple[float, float]  # column and row of its shadow's tip
+
+    @property
+    def lit(self) -> tuple[str, int]:
+        """Band and number of the LED."""
+        return self.band, self.led
 
     @property
     def name(self) -> str:
@@ -192,19 +197,34 @@ class Circle:
         return np.array([*self.centre_mm, 0.0])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LedEstimate:
-    """One LED as one method estimates it."""
+@dataclass(frozen=True, slots=True)
+class CalibratedLed:
+    """Position of an LED, and its uncertainty."""
 
     band: str
     led: int
-    position_mm: Array  # (3,) in the rig's frame
-    direction: Array  # (3,) unit, from the circle's centre on the finger plane towards the LED
-    # largest angle between the directions of two nail positions; None with one position
-    disagreement_deg: float | None
+    direction: Point
+    """Unit, towards the LED."""
+    position_mm: Point | None
+    """In the rig's frame; None for a distant light."""
+    disagreement_deg: float | None = None
+    """Largest angle between the directions from two nail positions; None if there was only one."""
+    verdict: str = "unchecked"
+    """``ok``, ``disagrees``, ``copied``, ``off the circle`` or ``unchecked``."""
+    kept: bool = True
     interval_deg: float | None = None
     """Half of the 95 % interval (joint fit only); `interval_mm` likewise."""
     interval_mm: float | None = None
+    image: str | None = None
+    """The photograph of a ball that shows the LED."""
+    strength: float | None = None
+    """Brightness from a matt ball's shading, relative to the mean."""
+
+
+def point_of(place: Array) -> Point:
+    """Three numbers of an array (3,)."""
+    x, y, z = place.tolist()
+    return x, y, z
 
 
 def nail_points(camera: Camera, nail_px: Array, height_mm: float) -> Array:
@@ -219,7 +239,7 @@ def nail_points(camera: Camera, nail_px: Array, height_mm: float) -> Array:
 
 def by_circle(
     tips: Sequence[Tip], camera: Camera, circle: Circle, *, known_height_mm: float | None = None
-) -> tuple[tuple[LedEstimate, ...], float]:
+) -> tuple[tuple[CalibratedLed, ...], float]:
     """Find every LED by the thesis's construction, in the order of the rows, and the nail's height
     in mm, from the lengths of the shadows unless known. Raises BadInput, naming LED and nail
     position, if there is no shadow or the nail stands outside the circle.
@@ -252,13 +272,13 @@ def by_circle(
             break
         height = min(measured, 0.6 * circle.height_mm)
     estimates = []
-    for band, led in dict.fromkeys((tip.band, tip.led) for tip in tips):
-        rows = [k for k, tip in enumerate(tips) if (tip.band, tip.led) == (band, led)]
+    for band, led in dict.fromkeys(tip.lit for tip in tips):
+        rows = [k for k, tip in enumerate(tips) if tip.lit == (band, led)]
         estimates.append(combine(band, led, positions[rows], circle))
     return tuple(estimates), measured if known_height_mm is None else known_height_mm
 
 
-def combine(band: str, led: int, singles: Array, circle: Circle) -> LedEstimate:
+def combine(band: str, led: int, singles: Array, circle: Circle) -> CalibratedLed:
     """Combine the LED positions (K, 3) from single nail positions: their mean, and their
     disagreement."""
     arms = singles - circle.foot_mm
@@ -270,7 +290,8 @@ def combine(band: str, led: int, singles: Array, circle: Circle) -> LedEstimate:
     chords = np.linalg.norm(units[:, None] - units[None], axis=2)
     largest_deg = float(np.degrees(2.0 * np.arcsin(np.clip(chords.max() / 2.0, 0.0, 1.0))))
     disagreement_deg = largest_deg if len(units) > 1 else None
-    return LedEstimate(band, led, position, mean / np.linalg.norm(mean), disagreement_deg)
+    direction = mean / np.linalg.norm(mean)
+    return CalibratedLed(band, led, point_of(direction), point_of(position), disagreement_deg)
 
 
 def _check_shadows(tips: Sequence[Tip], nails: Array, ends: Array, circle: Circle) -> None:

@@ -22,8 +22,8 @@ from splitknit.nominal import side_lights
 from splitknit_rig.calibration.lights import (
     BANDS,
     LEDS_PER_BAND,
+    CalibratedLed,
     Circle,
-    LedEstimate,
     Tip,
     by_circle,
     led_name,
@@ -35,7 +35,6 @@ from splitknit_rig.calibration.nail import STRAY_LED_MM, JointFit, Nail, by_join
 
 LedName = tuple[str, int]
 """Band, and number in it."""
-Point = tuple[float, float, float]
 OK, DISAGREES, COPIED, UNCHECKED, STRAYS = (
     "ok",
     "disagrees",
@@ -43,30 +42,6 @@ OK, DISAGREES, COPIED, UNCHECKED, STRAYS = (
     "unchecked",
     "off the circle",
 )
-
-
-@dataclass(frozen=True, slots=True)
-class CalibratedLed:
-    """Position of an LED, and its uncertainty."""
-
-    band: str
-    led: int
-    direction: Point
-    """Unit, towards the LED."""
-    position_mm: Point | None
-    """In the rig's frame; None for a distant light."""
-    disagreement_deg: float | None = None
-    """Largest angle between the directions from two nail positions; None if there was only one."""
-    verdict: str = UNCHECKED
-    """``ok``, ``disagrees``, ``copied``, ``off the circle`` or ``unchecked``."""
-    kept: bool = True
-    interval_deg: float | None = None
-    """Half of the 95 % interval (joint fit only); `interval_mm` likewise."""
-    interval_mm: float | None = None
-    image: str | None = None
-    """The photograph of a ball that shows the LED."""
-    strength: float | None = None
-    """Brightness from a matt ball's shading, relative to the mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +159,7 @@ def lights_of_tips(
         check_nails(tips, camera)
         by_hand, height = by_circle(tips, camera, circle, known_height_mm=rules.nail.height_mm)
         copied = copied_leds(tips, camera)
-        sound = [tip for tip in tips if (tip.band, tip.led) not in copied]
+        sound = [tip for tip in tips if tip.lit not in copied]
         if method == "joint":
             require(
                 positions > 1, "one nail position is there, but the joint fit needs two at least."
@@ -201,21 +176,9 @@ def lights_of_tips(
     verdicts = judge(estimates, copied, strays, rules.limit_deg)
     sentence = refusal(verdicts, estimates, rules.limit_deg)
     leds = []
-    for (band, number), estimate in estimates.items():
-        verdict = verdicts[band, number]
-        leds.append(
-            CalibratedLed(
-                band,
-                number,
-                point_of(estimate.direction),
-                point_of(estimate.position_mm),
-                estimate.disagreement_deg,
-                verdict,
-                rules.keep or verdict in (OK, UNCHECKED),
-                estimate.interval_deg,
-                estimate.interval_mm,
-            )
-        )
+    for led, estimate in estimates.items():
+        kept = rules.keep or verdicts[led] in (OK, UNCHECKED)
+        leds.append(replace(estimate, verdict=verdicts[led], kept=kept))
     findings = _findings(verdicts, joint, sound)
     if rules.keep and sentence:
         findings.append(Finding("kept-leds", f"kept although {sentence}", Severity.DOUBT))
@@ -249,17 +212,11 @@ def lights_of_tips(
     return lights
 
 
-def point_of(place: Array) -> Point:
-    """Three numbers of an array (3,)."""
-    x, y, z = place.tolist()
-    return x, y, z
-
-
 def rig_of(
-    estimates: Mapping[LedName, LedEstimate], base: Rig, provenance: Mapping[str, Any]
+    estimates: Mapping[LedName, CalibratedLed], base: Rig, provenance: Mapping[str, Any]
 ) -> Rig:
     """Return `base` with the estimated positions of the LEDs; all else is kept."""
-    places = {name: point_of(estimate.position_mm) for name, estimate in estimates.items()}
+    places = {name: estimate.position_mm for name, estimate in estimates.items()}
     leds: list[Led] = []
     for led in base.leds:
         number = sum(earlier.band == led.band for earlier in leds)
@@ -323,7 +280,7 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
         absent = [
             name_of_led(band, k)
             for k in range(LEDS_PER_BAND)
-            if (band, k) not in {(t.band, t.led) for t in tips}
+            if (band, k) not in {t.lit for t in tips}
         ]
         require(
             not absent,
@@ -331,7 +288,7 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
             " of a band that occurs needs its rows.",
         )
         for led in range(LEDS_PER_BAND):
-            present = [tip.nail for tip in tips if (tip.band, tip.led) == (band, led)]
+            present = [tip.nail for tip in tips if tip.lit == (band, led)]
             lost = [str(nail) for nail in nails if nail not in present]
             require(
                 len(present) >= min(2, len(nails)),
@@ -352,9 +309,8 @@ def copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
     copied = set()
     for i, j in combinations(range(len(tips)), 2):
         moved, apart = (float(np.linalg.norm(places[i] - places[j])) for places in (nails, ends))
-        same = (tips[i].band, tips[i].led) == (tips[j].band, tips[j].led)
-        if same and apart <= _COPY_MM and moved > _MOVE_MM:
-            copied.add((tips[i].band, tips[i].led))
+        if tips[i].lit == tips[j].lit and apart <= _COPY_MM and moved > _MOVE_MM:
+            copied.add(tips[i].lit)
     return copied
 
 
@@ -384,7 +340,7 @@ def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
 
 
 def judge(
-    estimates: Mapping[LedName, LedEstimate],
+    estimates: Mapping[LedName, CalibratedLed],
     copied: Set[LedName],
     strays: Set[LedName],
     limit_deg: float,
@@ -406,7 +362,7 @@ def judge(
 
 
 def refusal(
-    verdicts: Mapping[LedName, str], estimates: Mapping[LedName, LedEstimate], limit_deg: float
+    verdicts: Mapping[LedName, str], estimates: Mapping[LedName, CalibratedLed], limit_deg: float
 ) -> str | None:
     """One sentence that names every refused LED and what to do; None if none is refused."""
     named: dict[str, list[str]] = {}

@@ -24,7 +24,7 @@ of the ISI 52(4), 1987.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -36,13 +36,14 @@ from splitknit.imaging.robust import cauchy
 from splitknit.imaging.view import pixels_of, plane_points
 from splitknit.model import Array
 from splitknit_rig.calibration.lights import (
+    CalibratedLed,
     Circle,
-    LedEstimate,
     Tip,
     by_circle,
     combine,
     nail_points,
     pixels,
+    point_of,
 )
 
 
@@ -68,9 +69,9 @@ class _NailModel:
     def __init__(self, tips: Sequence[Tip], camera: Camera, circle: Circle, nail: Nail) -> None:
         self.tips, self.camera, self.circle, self.nail = tuple(tips), camera, circle, nail
         nail_px, self.tip_px = pixels(tips)
-        self.names = list(dict.fromkeys((tip.band, tip.led) for tip in tips))
+        self.names = list(dict.fromkeys(tip.lit for tip in tips))
         """Band and number of the L LEDs."""
-        self.led_of = np.array([self.names.index((tip.band, tip.led)) for tip in tips])
+        self.led_of = np.array([self.names.index(tip.lit) for tip in tips])
         """(N,) index of the LED of each row."""
         places = [(tip.band, tip.nail) for tip in tips]
         stood = list(dict.fromkeys(places))
@@ -111,12 +112,16 @@ class _NailModel:
         leds, places, height, offsets = self.parts(x)
         tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / _TIP_SD_PX
         nail = (self._pixels(places, height) - self.places_px) / self.nail_sd_px
-        arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
-        out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self.circle_sd
+        out = self.outside(leds, offsets) / self.circle_sd
         up = (leds[:, 2] - circle.height_mm - offsets[3]) / self.circle_sd
         # a known height has a standard deviation of 1 mm
         known = [height - (self.nail.height_mm or 0.0)] if self.known else []
         return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self.circle_sd, known])
+
+    def outside(self, leds: Array, offsets: Array) -> Array:
+        """(L,) distance in mm by which LEDs stand outside the circle, negative inside."""
+        arms = leds[:, :2] - np.asarray(self.circle.centre_mm) - offsets[:2]
+        return np.asarray(np.linalg.norm(arms, axis=1) - self.circle.radius_mm - offsets[2])
 
     def _pixels(self, places: Array, height: float) -> Array:
         return pixels_of(self.camera, np.column_stack([places, np.full(len(places), height)]))
@@ -126,13 +131,12 @@ class _NailModel:
 class JointFit:
     """All LEDs, and their uncertainty."""
 
-    leds: tuple[LedEstimate, ...]
+    leds: tuple[CalibratedLed, ...]
     nail_height_mm: float
     # (N, 2) tips found minus expected, columns and rows, in the order of the rows
     residual_px: Array
     outliers: tuple[int, ...]  # rows whose tip lies astray
     strays: frozenset[tuple[str, int]]  # LEDs, band and number, off the circle
-    rms_px: float  # residual of the tips that are not outliers, each way
 
 
 def by_joint_fit(
@@ -160,7 +164,12 @@ def _solve(model: _NailModel) -> OptimizeResult:
     height = float(np.clip(height, 0.6, model.top))
     places = nail_points(model.camera, model.places_px, height)
     x = np.concatenate(
-        [np.ravel([led.position_mm for led in first]), places.ravel(), [height], np.zeros(4)]
+        [
+            np.array([led.position_mm for led in first]).ravel(),
+            places.ravel(),
+            [height],
+            np.zeros(4),
+        ]
     )
     weights = np.ones(len(model.tips))
     # the weights sharpen step by step, so that a tip astray does not pull its neighbours' away
@@ -186,7 +195,7 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
     freedom = max(fit.fun.size - fit.x.size, 1)
     # where the residuals exceed their stated deviation
     wider = max(1.0, 2.0 * float(fit.cost) / freedom)
-    covariance = np.asarray(np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * wider)
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * wider
     estimates = []
     ends = plane_points(model.camera, model.tip_px)
     for k, (band, led) in enumerate(model.names):
@@ -202,27 +211,21 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
         block = covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
         turn = (np.eye(3) - np.outer(unit, unit)) / np.linalg.norm(arm)
         estimates.append(
-            LedEstimate(
-                band,
-                led,
-                leds[k],
-                unit,
-                alone.disagreement_deg,
-                float(np.degrees(_radius_95(turn @ block @ turn.T))),
-                _radius_95(block),
+            replace(
+                alone,
+                direction=point_of(unit),
+                position_mm=point_of(leds[k]),
+                interval_deg=float(np.degrees(_radius_95(turn @ block @ turn.T))),
+                interval_mm=_radius_95(block),
             )
         )
-    arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
-    off = np.abs(np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) > STRAY_LED_MM
+    off = np.abs(model.outside(leds, offsets)) > STRAY_LED_MM
     return JointFit(
         leds=tuple(estimates),
         nail_height_mm=height,
         residual_px=residual_px,
         outliers=tuple(int(row) for row in np.flatnonzero(astray)),
         strays=frozenset(name for name, far in zip(model.names, off, strict=True) if far),
-        rms_px=float(np.sqrt(np.mean(residual_px[~astray] ** 2)))
-        if not astray.all()
-        else float("nan"),
     )
 
 

@@ -21,7 +21,7 @@ from splitknit.io.photograph_files import natural_order
 from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.io.targets import check_file
-from splitknit.model import Array, FloatArray, PixelArray, Progress, no_progress
+from splitknit.model import Array, FloatArray, PixelArray, Progress
 from splitknit.observation.stored import linear_image
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, led_of_file, write_tips
 from splitknit_rig.calibration.shadow import NailView, find_nail
@@ -38,10 +38,10 @@ def tips_of_photos(
     folder: Path,
     camera: Camera,
     *,
-    encoding: str | None = None,
-    show: Path | None = None,
-    table: Path | None = None,
-    progress: Progress = no_progress,
+    encoding: str | None,
+    show: Path | None,
+    table: Path | None,
+    progress: Progress,
 ) -> tuple[list[Tip], dict[str, str], list[str]]:
     """Find nail and shadow tips in the photographs of a folder; write the picture and the table of
     them. Returns the tips by LED and place, SHA-256s by name, and files whose shadow leaves the

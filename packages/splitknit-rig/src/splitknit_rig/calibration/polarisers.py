@@ -25,7 +25,7 @@ from splitknit.imaging.pixels import GREY_WEIGHTS, block_means, pick_channel
 from splitknit.imaging.robust import deviation
 from splitknit.io.capture import with_rig
 from splitknit.io.provenance import plain_json, provenance
-from splitknit.model import Array, BoolArray, Films, FloatArray, Progress, no_progress
+from splitknit.model import Array, BoolArray, Films, FloatArray, Progress
 from splitknit.observation.films import crossed_place
 from splitknit.observation.light import Light
 from splitknit_rig.calibration.radiometry import rounded
@@ -40,8 +40,8 @@ def films_to_file(
     folder: Path,
     out: Path,
     *,
-    rig: Path | None = None,
-    progress: Progress = no_progress,
+    rig: Path | None,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Measure the films by the photographs in `folder`, and write them into the rig file `out`."""
     check_rig_file(out)
@@ -101,8 +101,11 @@ def films_to_file(
 
 def _series(capture: Capture) -> tuple[Light, Light]:
     """Light of the parallel and the crossed series, behind the films."""
-    near, far = (capture.bands[name] for name in ("white", "white_crossed"))
-    return Light(near, capture.rig, capture.encoding), Light(far, capture.rig, capture.encoding)
+    near, far = (
+        Light(capture.bands[name], capture.rig, capture.encoding)
+        for name in ("white", "white_crossed")
+    )
+    return near, far
 
 
 def _undone(image: FloatArray, films: Films) -> FloatArray:

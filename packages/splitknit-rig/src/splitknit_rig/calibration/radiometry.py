@@ -60,7 +60,6 @@ class CardImages:
 
     pixels: Array  # (N, 2) column and row of the cells' middles
     light: Array  # (L, N) linear light of the LED alone, the lens's fall-off in it, by the exposure
-    shape: tuple[int, int]  # rows and columns of cells
     # light with all LEDs off, by band, relative to the mean image; None where there is no such
     # image
     ambient_percent: dict[str, float | None]
@@ -92,7 +91,6 @@ def card_images(capture: Capture, rig: Rig, *, may_be_dark: bool = False) -> Car
     return CardImages(
         pixels=places.reshape(-1, 2),
         light=np.stack([cells[b][1][k].ravel() for b, k in order]),
-        shape=(places.shape[0], places.shape[1]),
         ambient_percent={
             light.name: _ambient_percent(light, lit)
             for light, (_, lit) in zip(lights, cells, strict=True)
@@ -299,22 +297,10 @@ _AMBIENT_PERCENT = 5.0
 """Limit of ambient light, relative to that of the LEDs."""
 
 
-def _ambient_light(images: CardImages) -> list[Finding]:
-    return [
-        Finding(
-            "ambient-light",
-            f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit"
-            f" {_AMBIENT_PERCENT:g} %); close the lid, for it changes from image to image.",
-        )
-        for band, fraction in images.ambient_percent.items()
-        if fraction is not None and fraction > _AMBIENT_PERCENT
-    ]
-
-
 def _findings(
     rig: Rig, images: CardImages, flat: FlatField, limit_percent: float
 ) -> tuple[Finding, ...]:
-    findings = _ambient_light(images)
+    findings = []
     for band, fraction in images.ambient_percent.items():
         if fraction is None:
             words = (
@@ -322,6 +308,12 @@ def _findings(
                 " counted as the LEDs'."
             )
             findings.append(Finding("no-ambient-image", words))
+        elif fraction > _AMBIENT_PERCENT:
+            words = (
+                f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit"
+                f" {_AMBIENT_PERCENT:g} %); close the lid, for it changes from image to image."
+            )
+            findings.append(Finding("ambient-light", words))
     for k, largest in enumerate(flat.largest_percent):
         if largest > 3 * limit_percent:
             words = (

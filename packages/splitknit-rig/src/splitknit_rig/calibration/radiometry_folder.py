@@ -14,7 +14,7 @@ from splitknit import Capture, Rig, read_capture, read_rig, write_rig
 from splitknit.errors import naming, require
 from splitknit.io.fields import Version1, inside, read_document
 from splitknit.io.provenance import file_hash, provenance
-from splitknit.model import Array, PixelArray, Progress, no_progress
+from splitknit.model import Array, PixelArray, Progress
 from splitknit.observation.light import FULL_SCALE
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.nail_photos import image_of_size
@@ -33,11 +33,11 @@ def calibrate_to_file(
     folder: Path,
     out: Path,
     *,
-    rig_file: Path | None = None,
-    limit_percent: float | None = None,
-    card_height_mm: float = 0.0,
-    card_tilt_deg: tuple[float, float] | None = None,
-    progress: Progress = no_progress,
+    rig_file: Path | None,
+    limit_percent: float | None,
+    card_height_mm: float,
+    card_tilt_deg: tuple[float, float] | None,
+    progress: Progress,
 ) -> RadiometricCalibration:
     """Calibrate a rig with a card, and write it. BadInput names the folder or file at fault;
     nothing is then written."""

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import require
+from splitknit.imaging.pixels import srgb_light
 from splitknit.model import Array
 
 
@@ -55,7 +56,7 @@ def fit_response(
     """
     stored, times = _checked(values, exposure_s, name)
     departure, residual = _straightness(stored, times)
-    linear_light = np.where(stored <= 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
+    linear_light = np.asarray(srgb_light(stored), dtype=np.float64)
     decoded_departure, decoded_residual = _straightness(linear_light, times)
     residual = min(residual, decoded_residual)
     require(

@@ -22,7 +22,7 @@ from scipy.special import ndtr
 from splitknit.checks import check_stack
 from splitknit.errors import require
 from splitknit.imaging.robust import cauchy, deviation
-from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray, GreyArray
 
 # The shadow of a blunt cone as a shape: the hull of two circles, softened by the size of the light.
 
@@ -290,7 +290,7 @@ def _far_end(part: BoolArray, middle: Array) -> Array:
     return np.array([columns[far].mean(), rows[far].mean()])
 
 
-def _disc(radius_px: float) -> NDArray[np.uint8]:
+def _disc(radius_px: float) -> GreyArray:
     size = 2 * max(round(radius_px), 1) + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 

@@ -94,12 +94,10 @@ def radiometry_lines(facts: Mapping[str, Any], *, base_tilt: bool) -> list[str]:
             f" {led['aim_off_deg']:6.1f} deg  {led['rms_percent']:.2f} %,"
             f" {led['largest_percent']:.2f} %: {led['verdict']}"
         )
-    lines += [
-        (
-            f"The lens shows the corners at {100 * facts['lens']['corner']:.0f} % of the middle's"
-            " brightness."
-        ),
-    ]
+    lines.append(
+        f"The lens shows the corners at {100 * facts['lens']['corner']:.0f} % of the middle's"
+        " brightness."
+    )
     for band, fraction in facts["ambient_percent"].items():
         if fraction is not None:
             lines.append(f"Light from elsewhere: {fraction:.2f} % of the {band} LEDs'.")

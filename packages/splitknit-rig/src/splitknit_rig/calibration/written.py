@@ -18,16 +18,17 @@ def check_rig_file(out: Path | None) -> None:
 def check_picture(out: Path | None, photographs: Path | None = None) -> None:
     """Refuse to replace a file that is not a PNG or TIFF picture, or is one of the photographs that
     are read."""
+    if out is None:
+        return
     require(
-        out is None or out.suffix.lower() in (".png", ".tif", ".tiff"),
+        out.suffix.lower() in (".png", ".tif", ".tiff"),
         f"'{out}' must end in .png or .tif: it is a picture.",
     )
     check_file(out, "a picture", lambda data: data.startswith((PNG, *TIFFS)))
-    if out is not None and photographs is not None:
-        inside = (
-            photographs.expanduser().resolve() in out.expanduser().resolve().parents
-            and out.expanduser().exists()
-        )
-        require(
-            not inside, f"'{out}' is one of the photographs in '{photographs}'; name another file."
-        )
+    place = out.expanduser()
+    inside = (
+        photographs is not None
+        and place.exists()
+        and photographs.expanduser().resolve() in place.resolve().parents
+    )
+    require(not inside, f"'{out}' is one of the photographs in '{photographs}'; name another file.")

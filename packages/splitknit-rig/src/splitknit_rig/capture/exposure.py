@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from splitknit.checks import check_image, check_mask
 from splitknit.devices import ExposureRange, Frame, relative_exposure
 from splitknit.errors import require
+from splitknit.imaging.robust import deviation
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -198,7 +199,7 @@ class Focus:
     snr: float  # variance of the detail over that of the noise
 
 
-def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: float) -> Focus:
+def measure_focus(image: FloatArray, region: BoolArray, px_per_mm: float) -> Focus:
     """Focus of one picture (H, W) of linear light in the finger's `region` (H, W), without its
     outline: the variance of the Laplacian of Gaussian of the relative brightness, minus that of the
     noise, measured at the finest scale, where blurred skin has almost no contrast. Source:
@@ -215,23 +216,22 @@ def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: flo
     inside = inside & (local > 2 * floor)  # the finger's unlit flank is noise alone
     if not inside.any():
         return Focus(0.0, 0.0)
-    detail = cv2.Laplacian(cv2.GaussianBlur(relative, (0, 0), sigma), cv2.CV_32F) * np.float32(
-        sigma**2
-    )
+
+    def fine(picture: FloatArray) -> FloatArray:
+        """Laplacian of Gaussian."""
+        smooth = cv2.GaussianBlur(picture, (0, 0), sigma)
+        return cv2.Laplacian(smooth, cv2.CV_32F) * np.float32(sigma**2)
+
+    detail = fine(relative)[inside]
     finest = cv2.filter2D(relative, cv2.CV_32F, _NOISE_MASK)
     # robust, because specular reflections and hairs are sharp at every scale
-    noise = (1.4826 * float(np.median(np.abs(finest[inside])))) ** 2 / float((_NOISE_MASK**2).sum())
+    noise = deviation(finest[inside]) ** 2 / float((_NOISE_MASK**2).sum())
     # Variance that white noise of variance one has after the filter
     size = int(np.ceil(6 * sigma)) * 2 + 9
     impulse = np.zeros((size, size), dtype=np.float32)
     impulse[size // 2, size // 2] = 1.0
-    kernel = cv2.Laplacian(cv2.GaussianBlur(impulse, (0, 0), sigma), cv2.CV_32F) * np.float32(
-        sigma**2
-    )
-    response_to_noise = float((kernel.astype(np.float64) ** 2).sum())
-    of_noise = noise * response_to_noise
-    total = (1.4826 * float(np.median(np.abs(detail[inside] - np.median(detail[inside]))))) ** 2
-    signal = max(total - of_noise, 0.0)
+    of_noise = noise * float((fine(impulse).astype(np.float64) ** 2).sum())
+    signal = max(deviation(detail - np.median(detail)) ** 2 - of_noise, 0.0)
     return Focus(sharpness=float(100.0 * np.sqrt(signal)), snr=float(signal / max(of_noise, 1e-12)))
 
 

@@ -18,7 +18,7 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.enrolment import Enrolment, PlannedCapture
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_capture
-from splitknit.model import Progress, no_progress
+from splitknit.model import Progress
 from splitknit_rig.capture.session import Session, SessionSettings, run_session
 
 MARKER = "session.json"
@@ -47,7 +47,7 @@ def capture_to_folder(
     options: CaptureOptions,
     *,
     subject: Mapping[str, Any],
-    progress: Progress = no_progress,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Capture a finger into the folder `out`; return the facts of ``session.json`` and more. Raises
     BadInput with the verdict if the finger must be captured again; nothing is then written, except
@@ -56,9 +56,7 @@ def capture_to_folder(
     check_capture(out, overwrite=options.overwrite)
     with atomic_folder(out, overwrite=options.overwrite) as target:
         session = run_session(
-            devices.camera,
-            devices.lights,
-            devices.rig,
+            devices,
             options.settings,
             turn=devices.turn or options.turn,
             progress=lambda stage, fraction: progress(stage, 0.8 * fraction),
@@ -120,7 +118,7 @@ def capture_enrolment(
     places: list[PlannedCapture],
     open_devices: Callable[[PlannedCapture], AbstractContextManager[Opened]],
     options: CaptureOptions,
-    progress: Progress = no_progress,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Capture the next fingers `places` of an enrolment, opening the devices for each; return what
     was captured and skipped, how many are finished, and what is next. BadInput names finger and

@@ -278,13 +278,13 @@ class PiCamera(CameraDevice):
     def __init__(
         self,
         picamera2: Any,
-        settings: PiCameraSettings | None = None,
+        settings: PiCameraSettings,
         *,
         now_ns: Callable[[], int] | None = None,
     ) -> None:
         """Open and start a camera of the class ``picamera2.Picamera2``. Raises BadInput if there is
         none, or it is in use."""
-        self._settings = settings or PiCameraSettings()
+        self._settings = settings
         self._sensor = self._settings.sensor
         self.image_size = self._settings.image_size or self._sensor.image_size
         self.exposures = ExposureRange(4 * self._sensor.line_s, 0.2, 1.0, self._sensor.max_gain)
@@ -551,13 +551,7 @@ def _gpio(what: str) -> Iterator[Any]:
         raise BadInput(f"{what} ({reason}); close other programs that use GPIO lines.") from error
 
 
-def _open_lights(rig: Rig) -> PiLightBank:
-    pins = pins_of(rig)
-    with _gpio("the LEDs cannot be switched") as gpiozero:
-        return PiLightBank(pins, gpiozero.DigitalOutputDevice)
-
-
-def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
+def _open_camera(settings: PiCameraSettings) -> PiCamera:
     """Open and start the camera. Raises BadInput if picamera2 cannot be imported or there is no
     camera."""
     try:
@@ -593,8 +587,11 @@ def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
     untested = Finding("untested-camera", f"the {settings.camera} camera was {UNTESTED}")
     findings = (untested,) if rig is not None else (NOMINAL, untested)
     chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
+    pins = pins_of(chosen)
     with ExitStack() as stack:
-        lights = stack.enter_context(_open_lights(chosen))  # closed last
+        with _gpio("the LEDs cannot be switched") as gpiozero:
+            lights = PiLightBank(pins, gpiozero.DigitalOutputDevice)
+        stack.enter_context(lights)  # closed last
         camera = stack.enter_context(_open_camera(settings))
         analyser = _open_analyser(chosen)
         if analyser is not None:

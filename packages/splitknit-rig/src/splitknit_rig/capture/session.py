@@ -19,7 +19,7 @@ import numpy as np
 
 from splitknit import BadInput, Band, Capture, Rig
 from splitknit.capture import spectral_band
-from splitknit.devices import CameraDevice, Frame, LightBank, Turn
+from splitknit.devices import Frame, Opened, Turn
 from splitknit.errors import require
 from splitknit.finger.mask import finger_mask
 from splitknit.imaging.geometry import bounding_box
@@ -40,7 +40,6 @@ from splitknit_rig.capture.exposure import (
 from splitknit_rig.capture.pins import led_names, rig_films
 from splitknit_rig.capture.shots import (
     CheckSettings,
-    Devices,
     Examiner,
     Shooting,
     Shot,
@@ -87,10 +86,11 @@ class Session:
         return Capture(rig=rig, bands=self.bands, encoding="linear", material=material)
 
 
-def _check_fit(camera: CameraDevice, lights: LightBank, rig: Rig) -> dict[str, tuple[int, ...]]:
+def _check_fit(devices: Opened) -> dict[str, tuple[int, ...]]:
     """LEDs by band, white first, then ``white_crossed`` of a rig with films; refuse a rig file that
     does not match the devices."""
-    rows, columns = camera.image_size
+    rig, connected = devices.rig, devices.lights.count
+    rows, columns = devices.camera.image_size
     require(
         rig.camera.image_size == (rows, columns),
         f"the rig file is for another camera: its images have {rig.camera.image_size[0]} x"
@@ -98,8 +98,8 @@ def _check_fit(camera: CameraDevice, lights: LightBank, rig: Rig) -> dict[str, t
         f" {columns}.",
     )
     require(
-        lights.count == len(rig.leds),
-        f"the rig file has {len(rig.leds)} LEDs, but {lights.count} are connected; correct one of"
+        connected == len(rig.leds),
+        f"the rig file has {len(rig.leds)} LEDs, but {connected} are connected; correct one of"
         " them.",
     )
     bands = {band: tuple(k for k, led in enumerate(rig.leds) if led.band == band) for band in BANDS}
@@ -132,9 +132,7 @@ _BRIGHT_PERCENTILE = 99.5
 
 
 def run_session(
-    camera: CameraDevice,
-    lights: LightBank,
-    rig: Rig,
+    devices: Opened,
     settings: SessionSettings | None = None,
     *,
     turn: Turn | None = None,
@@ -145,8 +143,8 @@ def run_session(
     suitable exposure, or nothing that turns the analyser.
     """
     settings = settings or SessionSettings()
-    bands = _check_fit(camera, lights, rig)
-    devices, px_per_mm = Devices(camera, lights, rig), rig.camera.px_per_mm
+    bands = _check_fit(devices)
+    lights, px_per_mm = devices.lights, devices.rig.camera.px_per_mm
     turn = turn if bands.get("white_crossed") == bands["white"] else None
     require(
         turn is not None or bands.get("white_crossed") != bands["white"],
@@ -209,7 +207,7 @@ def run_session(
 FOCUS_FIELD_MM = 10.0  # side of the field in the finger's middle
 
 
-def _focus(devices: Devices, region: BoolArray, exposure: Exposure) -> Focus:
+def _focus(devices: Opened, region: BoolArray, exposure: Exposure) -> Focus:
     """Measure the focus under the brightest white LED."""
     camera, lights, px_per_mm = devices.camera, devices.lights, devices.rig.camera.px_per_mm
     camera.lock(exposure.exposure_s, exposure.gain, "white")
@@ -235,7 +233,7 @@ def _focus(devices: Devices, region: BoolArray, exposure: Exposure) -> Focus:
 
 
 def _meter(
-    devices: Devices,
+    devices: Opened,
     bands: Mapping[str, Sequence[int]],
     settings: SessionSettings,
     progress: Callable[[float], None],
@@ -287,7 +285,7 @@ def _meter(
     return region, exposures
 
 
-def _region(seen: Survey, room: Frame, devices: Devices) -> BoolArray:
+def _region(seen: Survey, room: Frame, devices: Opened) -> BoolArray:
     mean: FloatArray = np.mean(
         [frame.pixels for frame in seen.frames.values()], axis=0, dtype=np.float32
     )

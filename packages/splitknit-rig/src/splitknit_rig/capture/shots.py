@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from splitknit import Ambient, Band, Rig
+from splitknit import Ambient, Band
 from splitknit.capture import spectral_band
-from splitknit.devices import CameraDevice, Frame, LightBank, relative_exposure
+from splitknit.devices import Frame, Opened, relative_exposure
 from splitknit.finger.motion import MIN_RELIABILITY, MOTION_PX_PER_MM, shot_motion
 from splitknit.finger.regions import blur, dilate, reduce_image
 from splitknit.model import Array, BoolArray, FloatArray
@@ -182,15 +182,6 @@ class Shot:
     ambient frames."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Devices:
-    """Camera and lights that match a rig."""
-
-    camera: CameraDevice
-    lights: LightBank
-    rig: Rig
-
-
 MAX_CROSSED = 0.93
 """Largest ratio of the light of crossed images to that of parallel ones, where the finger has
 specular reflections. Simulated fingers behind films have 0.47 (wet) to 0.91 (matt), a path-traced
@@ -203,7 +194,7 @@ class Shooting:
 
     def __init__(
         self,
-        devices: Devices,
+        devices: Opened,
         examiner: Examiner,
         *,
         watch_motion: bool,

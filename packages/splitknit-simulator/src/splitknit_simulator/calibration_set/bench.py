@@ -19,7 +19,7 @@ from scipy.special import ndtr
 
 from splitknit import Camera, Led
 from splitknit.errors import require
-from splitknit.model import FloatArray, PixelArray
+from splitknit.model import Array, FloatArray, PixelArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.lens import (
@@ -33,7 +33,7 @@ from splitknit_simulator.camera.lens import (
 )
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.lighting import irradiance
-from splitknit_simulator.surface import Array
+from splitknit_simulator.surface import Window
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,10 +124,6 @@ def seen_at(camera: Camera, points: Array) -> Array:
     """Column and row (..., 2) at which points (..., 3) of the rig's frame appear, in the picture or
     outside it."""
     return np.stack(pixels_of_points(camera, *np.moveaxis(points, -1, 0)), axis=-1)
-
-
-Window = tuple[slice, slice]
-"""Rows and columns."""
 
 
 # What all scenes share: LEDs, ambient light, focus, and a flat ground that they light.

@@ -10,6 +10,7 @@ import numpy as np
 
 from splitknit import BadInput, Camera
 from splitknit.errors import require
+from splitknit.model import Array
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
     GroundScene,
@@ -21,7 +22,6 @@ from splitknit_simulator.calibration_set.bench import (
     steps,
 )
 from splitknit_simulator.camera.lens import px_per_mm_at
-from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,6 +64,13 @@ class PrintedBoard:
         """Width and height of all squares together."""
         return (self.columns + 1) * self.square_mm, (self.rows + 1) * self.square_mm
 
+    @property
+    def outline_mm(self) -> Array:
+        """(2, 4) u and v of the corners of all squares together."""
+        width, height = self.size_mm
+        halves = np.meshgrid((-width / 2, width / 2), (-height / 2, height / 2))
+        return np.reshape(halves, (2, 4))
+
     def corners_mm(self) -> Array:
         """(rows * columns, 3) inner corners on the board, row by row from its top left; the middle
         is the origin."""
@@ -86,9 +93,7 @@ class BoardScene(GroundScene):
     """Reflectance beside the paper."""
 
     def __post_init__(self) -> None:
-        width, height = self.board.size_mm
-        reach = self.plane.points(*np.meshgrid((-width / 2, width / 2), (-height / 2, height / 2)))
-        top = float(reach[..., 2].max())
+        top = float(self.plane.points(*self.board.outline_mm)[:, 2].max())
         require(
             top < self.camera.height_mm,
             f"the board reaches {top:.0f} mm up, but the camera is at {self.camera.height_mm:g} mm;"
@@ -138,7 +143,7 @@ def board_poses(
     """Draw poses of a board, all of its squares in the picture, or BadInput; more poses begin with
     the same ones."""
     board = board or PrintedBoard()
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))
+    rng = np.random.default_rng([seed, 0xB0])
     poses: list[_Pose] = []
     for _ in range(200 * count):  # then the board counts as too large for the picture
         pose = _draw(rng, camera, board)
@@ -183,6 +188,4 @@ def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _Pos
 
 def _outer_corners(rotation: Array, middle: Array, camera: Camera, board: PrintedBoard) -> Array:
     """(4, 2) column and row of the corners of all squares together."""
-    width, height = board.size_mm
-    u, v = np.meshgrid((-width / 2, width / 2), (-height / 2, height / 2))
-    return seen_at(camera, facing_plane(rotation, middle).points(u.ravel(), v.ravel()))
+    return seen_at(camera, facing_plane(rotation, middle).points(*board.outline_mm))

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from splitknit import Led
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit_simulator.calibration_set.bench import (
     BaseScene,
-    Window,
     card_radiance,
     edge_coverage,
     seen_at,
@@ -26,7 +25,7 @@ from splitknit_simulator.calibration_set.bench import (
 )
 from splitknit_simulator.camera.lens import SightLines
 from splitknit_simulator.light.lighting import UNIT, irradiance
-from splitknit_simulator.surface import Array
+from splitknit_simulator.surface import Window
 
 Lines = tuple[Array, Array]
 """Points (..., 3) and unit vectors (..., 3): normals of a mirror, or directions of rays."""
@@ -483,7 +482,7 @@ def _led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
     offset = start + reach[..., None] * way - middle
     inwards = np.where(meets & (reach > 0.0), radius_mm - np.linalg.norm(offset, axis=-1), -1e3)
     ahead = led.intensity * UNIT / (np.pi * max(radius_mm, 1e-6) ** 2)
-    return inwards, np.asarray(ahead * np.maximum(cosine, 1e-3) ** (led.lobe_exponent - 1.0))
+    return inwards, ahead * np.maximum(cosine, 1e-3) ** (led.lobe_exponent - 1.0)
 
 
 RIM_SAMPLES = 12

@@ -15,12 +15,9 @@ from numpy.typing import NDArray
 
 from splitknit import Camera
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 
-Array = NDArray[np.float64]
-
-
-Numbers = NDArray[np.float64] | NDArray[np.intp]
+Numbers = Array | NDArray[np.intp]
 
 
 class SightLines(NamedTuple):
@@ -137,10 +134,10 @@ def pixels_of_points(camera: Camera, x: Array, y: Array, z: Array) -> tuple[Arra
     height, width = camera.image_size
     if camera.model == "orthographic":
         column = x * camera.px_per_mm + (width - 1) / 2 + 0.0 * z
-        return np.asarray(column), np.asarray((height - 1) / 2 - y * camera.px_per_mm + 0.0 * z)
+        return np.asarray(column), (height - 1) / 2 - y * camera.px_per_mm + 0.0 * z
     fx, fy, cx, cy, skew = _matrix(camera)
     depth = camera.height_mm - z
-    u, v = _distorted(camera, np.asarray(x / depth), np.asarray(-y / depth))
+    u, v = _distorted(camera, x / depth, -y / depth)
     return fx * u + skew * v + cx, fy * v + cy
 
 

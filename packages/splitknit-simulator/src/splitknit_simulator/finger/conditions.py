@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit import Camera
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint
@@ -20,7 +20,7 @@ from splitknit_simulator.finger.ridges import around, smooth_noise
 from splitknit_simulator.finger.skin_map import SkinMap, skin_map
 from splitknit_simulator.light.coat import draw_grains, stamp
 from splitknit_simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
-from splitknit_simulator.surface import Array, Coat, Film, SimulatedSurface
+from splitknit_simulator.surface import Coat, Film, SimulatedSurface, soft_step
 
 KERATIN_INDEX = 1.55
 """Refractive index of the dry horny layer. Source: Duck 1990, Physical Properties of Tissue."""
@@ -139,8 +139,8 @@ def _scarred(
         across = -(u - cu) * np.sin(way) + (v - cv) * np.cos(way)
         across = across - bend * along**2 - 0.15 * np.sin(1.3 * along + wave)
         half = half_mm * np.clip(1.0 - (2.0 * along / length) ** 4, 0.0, 1.0)
-        inside = np.clip(0.5 + (half - np.abs(across)) / 0.12, 0.0, 1.0) * (half > 0.0)
-        fraction = np.maximum(fraction, inside * inside * (3.0 - 2.0 * inside))
+        inside = soft_step(0.5 + (half - np.abs(across)) / 0.12) * (half > 0.0)
+        fraction = np.maximum(fraction, inside)
         profile = np.exp(-0.5 * (across / max(half_mm, 0.1)) ** 2)
         lift = lift + rise * profile * (half > 0.0) * np.clip(half / half_mm, 0, 1)
     level = cv2.GaussianBlur(displacement, (0, 0), 0.5 / pitch)
@@ -187,8 +187,7 @@ def _water_level(
     # fraction
     noise = smooth_noise(rng, displacement.shape, 1.0 / pitch_mm)
     threshold = float(np.quantile(noise, 2.0 * severity))
-    patch = np.clip(0.5 + (threshold - noise) / 0.3, 0.0, 1.0)
-    patch = patch * patch * (3.0 - 2.0 * patch)
+    patch = soft_step(0.5 + (threshold - noise) / 0.3)
     return displacement + patch * (filled - displacement)
 
 
@@ -362,7 +361,7 @@ def _wet(
     for axis in (0, 1):
         down, right = np.gradient(np.where(mask, -normals[..., axis] / nz, 0.0))
         total += (down**2 + right**2) / 12.0
-    bend = np.asarray(np.minimum(0.5 * total, 0.25))
+    bend = np.minimum(0.5 * total, 0.25)
     # GGX alpha of a water surface at rest on skin: smooth but for what floats on it
     roughness = np.clip(np.sqrt(0.05**2 + 2.0 * bend), 0.0, 1.0).astype(np.float32)
     # GGX alpha of hydrated skin between drops; Dabrowska et al. 2016 found such skin smoother

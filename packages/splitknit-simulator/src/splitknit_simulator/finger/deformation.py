@@ -11,8 +11,8 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
 from splitknit.errors import require
+from splitknit.model import Array
 from splitknit_simulator.finger.master_print import MasterPrint
-from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class Deformation:
         """(N,) shifts along u and v at points (N,) where the skin arrives; beyond the grid as on
         its border."""
         u, v = np.clip(u, self.u_mm[0], self.u_mm[-1]), np.clip(v, self.v_mm[0], self.v_mm[-1])
-        return np.asarray(self._splines[0].ev(v, u)), np.asarray(self._splines[1].ev(v, u))
+        return self._splines[0].ev(v, u), self._splines[1].ev(v, u)
 
     def shift_on(self, u: Array, v: Array) -> tuple[Array, Array]:
         """(H, W) shifts along u and v on the grid of columns `u` (W,) and rows `v` (H,), in any

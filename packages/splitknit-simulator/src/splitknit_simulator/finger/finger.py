@@ -13,14 +13,14 @@ from scipy.spatial import cKDTree
 
 from splitknit import Camera
 from splitknit.errors import require
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.lens import picture_on_plane
 from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
 from splitknit_simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view
 from splitknit_simulator.finger.shape import FingerBody, FingerShape
 from splitknit_simulator.finger.skin_map import FlexionCrease, SkinMap, SkinRelief, skin_map
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface
 
 FREQUENCIES = {
     "arch": 0.037,
@@ -200,9 +200,7 @@ def draw_finger(
     Greiner 1991, Hand anthropometry of US Army personnel (breadth and length of the distal
     phalanx). Maeno et al. 1998; Misumi and Akiyoshi 1984 (ridge height).
     """
-    draws = [
-        np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0xF1]).spawn(3)
-    ]
+    draws = np.random.default_rng([seed, 0xF1]).spawn(3)
     if pattern is None:
         pattern = str(draws[0].choice(list(FREQUENCIES), p=list(FREQUENCIES.values())))
     if pattern == "loop":

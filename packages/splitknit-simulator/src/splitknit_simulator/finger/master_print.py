@@ -17,7 +17,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, BoolArray, FloatArray, GreyArray
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit_simulator.finger.ridges import (
     PATTERNS,
@@ -28,7 +28,6 @@ from splitknit_simulator.finger.ridges import (
     phase_singularities,
     smooth_noise,
 )
-from splitknit_simulator.surface import Array
 
 # Sweat pores: small dips along the crests of the ridges.
 
@@ -84,7 +83,7 @@ def _sample(image: FloatArray, x: Array, y: Array) -> Array:
     )
 
 
-def _thin(points: Array, order: NDArray[np.intp], distance: float) -> NDArray[np.bool_]:
+def _thin(points: Array, order: NDArray[np.intp], distance: float) -> BoolArray:
     """Greedy thinning: in a random order, a point survives if no survivor lies within
     `distance`."""
     rank = np.empty(len(points), dtype=np.intp)
@@ -197,9 +196,7 @@ def master_print(
     (576, 256)
     """
     settings = settings or MasterPrintSettings()
-    draws = [
-        np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0x9A17]).spawn(6)
-    ]
+    draws = np.random.default_rng([seed, 0x9A17]).spawn(6)
     if pattern == "loop":
         pattern = str(draws[5].choice(("left_loop", "right_loop")))
     require(
@@ -327,7 +324,7 @@ def ridge_profile(
 
 
 def master_of_print(
-    image: NDArray[np.uint8], seed: int = 0, settings: MasterPrintSettings | None = None
+    image: GreyArray, seed: int = 0, settings: MasterPrintSettings | None = None
 ) -> MasterPrint:
     """The master print of a finger that left a real print: its own forks, breaks, scars, pores and
     widths.
@@ -409,7 +406,7 @@ _PAD_CENTRE_MM = 13.5
 contact of :func:`ink_print`, 3 to 24 mm."""
 
 
-def ink_print(master: MasterPrint, *, half_width_mm: float = 7.5) -> NDArray[np.uint8]:
+def ink_print(master: MasterPrint, *, half_width_mm: float = 7.5) -> GreyArray:
     """Print the distal pad as ink on paper: mirrored against the skin frame, ridges dark, 8 bit,
     500 pixels an inch.
 

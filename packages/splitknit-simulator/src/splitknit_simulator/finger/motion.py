@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Camera
+from splitknit.model import Array
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.lens import pixels_of_points, sight_lines
 from splitknit_simulator.finger.deformation import Deformation, deformed, draw_deformation
@@ -27,7 +27,7 @@ from splitknit_simulator.finger.finger import (
 )
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.shape import FingerBody
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Truth
 
 _SHOT_S = 0.5
 """Time from shot to shot. Source: thesis, 14 photographs in 7 s."""
@@ -150,7 +150,7 @@ class _MovingFinger:
             worn = replace(self.finger, printed=master)
             yield finger_surface(worn, self.pose_of(shot), self.camera, workers=workers)
 
-    def truth(self, reference: SimulatedSurface) -> dict[str, NDArray[Any]]:
+    def truth(self, reference: SimulatedSurface) -> Truth:
         """Arrays by name: the path, and where the skin of the reference shot lies in every other
         picture.
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from splitknit import Camera
 from splitknit.errors import require
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_simulator.camera.lens import SightLines, sight_lines
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import SkinMap
-from splitknit_simulator.surface import Array, SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Window
 
 Triple = tuple[Array, Array, Array]
 
@@ -138,7 +138,7 @@ class PlacedFinger:
     placement: Placement
 
 
-def _near(finger: PlacedFinger, camera: Camera, box: tuple[slice, slice], top: float) -> BoolArray:
+def _near(finger: PlacedFinger, camera: Camera, box: Window, top: float) -> BoolArray:
     """(h, w) pixels of the box near which rays meet the smooth finger below the height `top`."""
     step = max(1, int(0.4 * camera.px_per_mm))  # rays 0.4 mm apart
     rows, columns = (np.arange(part.start, part.stop + step, step) for part in box)
@@ -158,7 +158,7 @@ _EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan)
 def surface_of(
     finger: PlacedFinger,
     camera: Camera,
-    box: tuple[slice, slice],
+    box: Window,
     heights: tuple[float, float | None],
     workers: int,
     *,

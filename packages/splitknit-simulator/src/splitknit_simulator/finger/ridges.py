@@ -18,8 +18,8 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from splitknit.errors import require
-from splitknit.model import FloatArray
-from splitknit_simulator.surface import Array
+from splitknit.model import Array, FloatArray
+from splitknit_simulator.surface import Window
 
 Point = tuple[float, float]
 
@@ -59,7 +59,7 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: flo
 
 def around(
     shape: tuple[int, ...], row: float, column: float, reach: int
-) -> tuple[tuple[slice, slice], Array, Array]:
+) -> tuple[Window, Array, Array]:
     """Window of the grid `shape` within `reach` of a place, and there the rows (h, 1) and columns
     (1, w) from it."""
     top, left = max(int(row) - reach, 0), max(int(column) - reach, 0)

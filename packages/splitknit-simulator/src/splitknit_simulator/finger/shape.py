@@ -11,12 +11,10 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from splitknit.errors import require
-from splitknit.model import BoolArray
-from splitknit_simulator.surface import Array
+from splitknit.model import Array, BoolArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +99,7 @@ class FingerBody:
         stretch = form.rise * (c[0] * angle + bend) / np.maximum(physical, 1e-12)
         return distance, stretch * lateral, (y - forward) + stretch * forward
 
-    def encloses(self, x: Array, y: Array, z: Array) -> NDArray[np.bool_]:
+    def encloses(self, x: Array, y: Array, z: Array) -> BoolArray:
         """Whether points may belong to the finger: far beside a square tip the implicit function
         falls again."""
         s = self.shape

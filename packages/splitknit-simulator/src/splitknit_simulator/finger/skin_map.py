@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.ridges import smooth_noise
-from splitknit_simulator.surface import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,17 +92,13 @@ class SkinMap:
         )
 
 
-def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap:
+def skin_map(master: MasterPrint, settings: SkinRelief) -> SkinMap:
     """Lay ridges, pores and creases over the chart.
 
     Ridges flatten inside the grooves. All draws (depths, lines beside creases) follow from the
     master print's seed.
     """
-    settings = settings or SkinRelief()
-    draws = [
-        np.random.default_rng(child)
-        for child in np.random.SeedSequence([master.seed, 0x5C1]).spawn(2)
-    ]
+    draws = np.random.default_rng([master.seed, 0x5C1]).spawn(2)
     pitch = float(master.u_mm[1] - master.u_mm[0])
     depth = 1.0 + settings.depth_variation * smooth_noise(draws[0], master.ridge.shape, 4.0 / pitch)
     depth = np.clip(depth, 0.5, 1.5) * settings.ridge_depth_um * 1e-3

@@ -7,13 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Camera, Led
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_simulator.light.lighting import (
     Patch,
-    Values,
     Vectors,
     angular_size,
     dot,
@@ -67,11 +65,11 @@ def draw_grains(
 
 def stamp(
     shape: tuple[int, int],
-    column: NDArray[np.float64],
-    row: NDArray[np.float64],
-    radius_px: NDArray[np.float64],
-    value: NDArray[np.float64] | float = 1.0,
-) -> NDArray[np.float64]:
+    column: Array,
+    row: Array,
+    radius_px: Array,
+    value: Array | float = 1.0,
+) -> Array:
     """(h, w) sum of discs times their values, each with its own area; may exceed 1 where many
     overlap."""
     reach = np.ceil(radius_px + 0.5).astype(np.intp)
@@ -131,7 +129,7 @@ class CoatedPatch:
         window = patch.window
         self.patch = patch
         self.fraction, self.tint = coat.fraction[window], coat.tint
-        self.across: Values | float = (
+        self.across: FloatArray | float = (
             roughness if coat.roughness is None else coat.roughness[window]
         )
         self.lengthwise = None if coat.roughness_along is None else coat.roughness_along[window]
@@ -174,31 +172,27 @@ class CoatedPatch:
         """(h, w) factor of a channel's diffuse light, from that of bare skin."""
         return gain * self.leaving * (1.0 + self.fraction * (self.tint.get(channel, 1.0) - 1.0))
 
-    def light_on(
-        self, led: Led, glare: float, led_radius_mm: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def light_on(self, led: Led, glare: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Light that enters the skin, that the surface reflects, and that scales and grains
         scatter; (h, w) each."""
         patch = self.patch
         sums = np.zeros((3, *patch.mask.shape), dtype=np.float32)
         for lamp in (led, *led.also):
-            parts = self._lit(
-                *towards(lamp, patch.points), angular_size(lamp, led_radius_mm), glare
-            )
+            parts = self._lit(*towards(lamp, patch.points), angular_size(lamp), glare)
             for k, part in enumerate(parts):
                 sums[k] += part
         return sums[0], sums[1], sums[2]
 
     def _lit(
-        self, light: Vectors, strength: Values, size: float, glare: float
-    ) -> tuple[Values, Values, Values]:
+        self, light: Vectors, strength: FloatArray, size: float, glare: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         patch = self.patch
-        cosine = np.maximum(dot(light, self.patch.normal), 0.0)
+        cosine = np.maximum(dot(light, patch.normal), 0.0)
         entering = strength * cosine * (1.0 - fresnel(cosine))
         gloss = glare * reflected(
-            self.patch.normal,
+            patch.normal,
             light,
-            self.patch.view,
+            patch.view,
             np.minimum(np.asarray(self.across) + size, 1.0),
             along=self.along,
             roughness_along=None
@@ -214,7 +208,7 @@ class CoatedPatch:
             water = reflected(
                 normal,
                 light,
-                self.patch.view,
+                patch.view,
                 np.minimum(film.roughness + size, 1.0),
                 index=WATER_INDEX,
             )
@@ -226,16 +220,17 @@ class CoatedPatch:
         if self.grains is not None:
             free = 1.0 - self._shadow(light)
             seen = 1.0 - self.hidden
-            phase = np.arccos(np.clip(dot(light, self.patch.view), -1.0, 1.0)).astype(np.float32)
+            phase = np.arccos(np.clip(dot(light, patch.view), -1.0, 1.0)).astype(np.float32)
             dust = self.grain_albedo * _sphere_brightness(phase) * strength / np.pi
             # a ball rises above the skin's shadow
             dust = dust * np.clip(0.5 + 2.0 * dot(light, self.body), 0.0, 1.0)
             entering, gloss, extra = entering * free, gloss * free * seen, extra * seen + dust
-        parts = (np.where(patch.mask, part, 0.0) for part in (entering, gloss, extra))
-        entering, gloss, extra = parts
+        entering, gloss, extra = (
+            np.where(patch.mask, part, 0.0) for part in (entering, gloss, extra)
+        )
         return entering, gloss, extra
 
-    def _under_water(self, light: Vectors, strength: Values, normal: Vectors) -> Any:
+    def _under_water(self, light: Vectors, strength: FloatArray, normal: Vectors) -> Any:
         """Light that enters the skin below the water's surface.
 
         The flux through the surface goes on in the refracted direction; the skin's facet takes its

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput, Led, Rig
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.nominal import side_lights
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.lighting import Patch, Vectors, arriving, dot
 from splitknit_simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, fresnel
-from splitknit_simulator.surface import Array
+from splitknit_simulator.rigs import triple
 
 SERIES = ("parallel", "crossed")
 
@@ -92,24 +92,25 @@ class Films:
         crossed; `k`: LED; `light`, `view`: unit vectors from the surface to the LED and to the
         camera.
         """
-        leak = 1.0 / self.settings.extinction
-        polariser = self.side_axes.get((series, k), float(self.polariser_rad[series, k]))
-        passed = reflected_through(light, view, polariser, float(self.analyser_rad[series]), leak)
+        passed = reflected_through(light, view, *self._mounted(series, k))
         return 0.5 * passed / fresnel(np.sqrt(0.5 + 0.5 * dot(light, view)))
 
     def once_scattered(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
         """What light scattered once adds, over itself, to what would pass had it lost its
         polarisation."""
-        leak, kept = 1.0 / self.settings.extinction, self.settings.kept
-        polariser = self.side_axes.get((series, k), float(self.polariser_rad[series, k]))
-        analyser = float(self.analyser_rad[series])
+        polariser, analyser, leak = self._mounted(series, k)
         fields = [_unit(_across(field, view)) for field in _fields(polariser, light)]
         weights = (1.0, leak)
         passed: Any = 0.0
         for field, a in zip(fields, weights, strict=True):
             for axis, b in zip(_fields(analyser, view), weights, strict=True):
                 passed = passed + a * b * dot(field, axis) ** 2
-        return np.asarray(kept * (0.5 * passed - self.depolarised))
+        return np.asarray(self.settings.kept * (0.5 * passed - self.depolarised))
+
+    def _mounted(self, series: int, k: int) -> tuple[float | Vectors, float, float]:
+        """Axes of the film before an LED and of the camera's, and their leak."""
+        polariser = self.side_axes.get((series, k), float(self.polariser_rad[series, k]))
+        return polariser, float(self.analyser_rad[series]), 1.0 / self.settings.extinction
 
     @property
     def ambient(self) -> NDArray[np.float32]:
@@ -182,8 +183,9 @@ def with_crossed_leds(rig: Rig) -> Rig:
                 )
             x, y, z = led.position_mm
             turn = _CROSSED_LED_DISTANCE_MM / max(float(np.hypot(x, y)), _CROSSED_LED_DISTANCE_MM)
-            place = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z
-            added.append(replace(led, position_mm=(float(place[0]), float(place[1]), float(z))))
+            sine, cosine = np.sin(turn), np.cos(turn)
+            place = np.array([x * cosine - y * sine, x * sine + y * cosine, z])
+            added.append(replace(led, position_mm=triple(place)))
     return replace(rig, leds=(*rig.leds, *added))
 
 
@@ -253,9 +255,7 @@ def reflected_through(
     return np.asarray(passed)
 
 
-def fresnel_amplitudes(
-    cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX
-) -> tuple[Array, Array]:
+def fresnel_amplitudes(cosine: FloatArray, ratio: float = REFRACTIVE_INDEX) -> tuple[Array, Array]:
     """Signed amplitudes of the field across (s) and along (p) the plane of incidence, light from
     the thinner medium."""
     c = np.asarray(cosine, dtype=np.float64)

@@ -12,17 +12,16 @@ from numpy.typing import NDArray
 
 from splitknit import Camera, Led
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.camera.lens import px_per_mm_at, sight_lines
 from splitknit_simulator.light.skin import REFRACTIVE_INDEX, fresnel
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Window
 
 UNIT = 1e4
 """Square of the distance, in mm, at which an LED of intensity one gives the irradiance one. Source:
 definition of an LED's intensity."""
 
 
-Values = NDArray[np.floating]
 Vectors = Any
 """x, y and z: arrays or numbers that broadcast together."""
 
@@ -36,8 +35,8 @@ def dot(a: Vectors, b: Vectors) -> Any:
 class Patch:
     """The surface inside the window, channels apart and contiguous, zero outside the mask."""
 
-    window: tuple[slice, slice]
-    mask: NDArray[np.bool_]
+    window: Window
+    mask: BoolArray
     x: FloatArray  # (h, w) mm
     y: FloatArray
     z: FloatArray
@@ -62,7 +61,7 @@ class Patch:
         return 1.0 / self.px_per_mm
 
 
-def finger_window(surface: SimulatedSurface) -> tuple[slice, slice]:
+def finger_window(surface: SimulatedSurface) -> Window:
     """Rows and columns of the finger's bounding box, eight pixels wider each way inside the
     frame."""
     lines = [np.flatnonzero(surface.mask.any(axis=axis)) for axis in (1, 0)]
@@ -138,21 +137,15 @@ def white_card(camera: Camera, led: Led, z_mm: float = 0.0, step: int = 16) -> F
     )
 
 
-def light_on(
-    patch: Patch, led: Led, roughness: float, led_radius_mm: float
-) -> tuple[FloatArray, FloatArray]:
+def light_on(patch: Patch, led: Led, roughness: float) -> tuple[FloatArray, FloatArray]:
     """Return the irradiance that enters the skin, and the radiance that its surface reflects to the
     camera, (h, w)."""
     entering, gloss = np.zeros((2, *patch.mask.shape), dtype=np.float32)
     for lamp in (led, *led.also):
-        light, strength = arriving(patch, lamp, led_radius_mm)
+        light, strength = arriving(patch, lamp)
         cosine = np.maximum(dot(light, patch.normal), 0.0)
         entering += strength * cosine * (1.0 - fresnel(cosine))
-        alpha = (
-            roughness
-            if lamp.position_mm is None
-            else min(roughness + angular_size(lamp, led_radius_mm), 1.0)
-        )
+        alpha = roughness if lamp.position_mm is None else min(roughness + angular_size(lamp), 1.0)
         gloss += strength * reflected(patch.normal, light, patch.view, alpha)
     return entering, gloss
 
@@ -162,11 +155,11 @@ _NOTHING_MM = -1e3
 LED_RADIUS_MM = 1.5  # of the emitting face, which widens the specular reflection
 
 
-def arriving(patch: Patch, led: Led, radius_mm: float = LED_RADIUS_MM) -> tuple[Vectors, Values]:
+def arriving(patch: Patch, led: Led) -> tuple[Vectors, FloatArray]:
     """As :func:`towards` for the points of a patch, what shadows take of the light taken away.
 
     The way to a light that stands low is followed over the surface: where it is below it, the light
-    is hidden, softly, as its face has a `radius_mm`.
+    is hidden, softly, as its face has a radius.
     """
     light, strength = towards(led, patch.points)
     lx, ly, lz = light
@@ -175,7 +168,7 @@ def arriving(patch: Patch, led: Led, radius_mm: float = LED_RADIUS_MM) -> tuple[
         return light, strength
     flat = np.maximum(np.hypot(lx, ly), 1e-6)
     rows, columns = (np.asarray(axis, dtype=np.float32) for axis in np.indices(patch.z.shape))
-    soft = radius_mm / float(np.linalg.norm(led.position_mm))
+    soft = LED_RADIUS_MM / float(np.linalg.norm(led.position_mm))
     most = (float(patch.z.max()) - float(patch.z[patch.mask].min())) / max(
         float((lz / flat)[patch.mask].min()), 0.05
     )
@@ -198,12 +191,12 @@ def arriving(patch: Patch, led: Led, radius_mm: float = LED_RADIUS_MM) -> tuple[
     return light, strength * np.clip(seen, 0.0, 1.0)
 
 
-def angular_size(led: Led, radius_mm: float) -> float:
+def angular_size(led: Led) -> float:
     """By how much the face of a near LED widens its specular reflection, as a roughness."""
     return (
         0.0
         if led.position_mm is None
-        else radius_mm / (2.0 * float(np.linalg.norm(led.position_mm)))
+        else LED_RADIUS_MM / (2.0 * float(np.linalg.norm(led.position_mm)))
     )
 
 
@@ -214,12 +207,12 @@ def reflected(
     normal: Vectors,
     light: Vectors,
     view: Vectors,
-    across: Values | float,
+    across: FloatArray | float,
     *,
     index: float = REFRACTIVE_INDEX,
     along: Vectors | None = None,
-    roughness_along: Values | float | None = None,
-) -> Values:
+    roughness_along: FloatArray | float | None = None,
+) -> FloatArray:
     """(h, w) radiance towards `view` per unit of irradiance that a surface facing the light
     receives: D G F / (4 n.v).
 
@@ -239,7 +232,7 @@ def reflected(
     nl = np.maximum(nl, 1e-4)
     first = across if along is None or roughness_along is None else roughness_along
 
-    def squashed(direction: Vectors, cosine: Values, power: int) -> Values:
+    def squashed(direction: Vectors, cosine: FloatArray, power: int) -> FloatArray:
         """Sum of the squared tangential parts of a direction, times (or over) the squared
         roughnesses."""
         sine = np.maximum(1.0 - cosine * cosine, 0.0)
@@ -255,7 +248,7 @@ def reflected(
     below = squashed(half, nh, -1) + nh * nh
     distribution = 1.0 / (np.pi * first * across * below * below)
 
-    def unshadowed(direction: Vectors, cosine: Values) -> Values:
+    def unshadowed(direction: Vectors, cosine: FloatArray) -> FloatArray:
         return 2.0 / (1.0 + np.sqrt(1.0 + squashed(direction, cosine, 1) / (cosine * cosine)))
 
     shadowing = unshadowed(light, nl) * unshadowed(view, nv)
@@ -263,7 +256,7 @@ def reflected(
     return np.where(lit, distribution * shadowing * mirror / (4.0 * nv), 0.0)
 
 
-def towards(led: Led, points: Vectors) -> tuple[Vectors, Values]:
+def towards(led: Led, points: Vectors) -> tuple[Vectors, FloatArray]:
     """Unit vector from each point (mm) to the light, and the irradiance of a surface that faces
     it."""
     x, y, z = points

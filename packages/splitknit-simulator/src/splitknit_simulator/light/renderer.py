@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit import Led
-from splitknit.model import FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.coat import CoatedPatch
 from splitknit_simulator.light.lighting import (
-    LED_RADIUS_MM,
     Patch,
     Vectors,
     arriving,
@@ -40,7 +39,7 @@ from splitknit_simulator.light.skin import (
     diffusion_profile,
     fresnel,
 )
-from splitknit_simulator.surface import SimulatedSurface
+from splitknit_simulator.surface import SimulatedSurface, Window
 
 BLOOD: dict[Channel, float] = {"red": 0.15, "green": 1.0, "blue": 0.8, "nir": 0.05}
 """How strongly mottled blood darkens each channel, relative to green."""
@@ -70,7 +69,7 @@ class RenderSettings(Checked):
 class BandLight:
     """Radiance of the finger inside `window`, in units of the rig's intensities."""
 
-    window: tuple[slice, slice]  # rows and columns of the frame
+    window: Window  # rows and columns of the frame
     diffuse: FloatArray  # (L, C, h, w) light that came through the skin, C = 3 (white) or 1 (NIR)
     glare: FloatArray  # (L, h, w) light that the surface alone reflects, the same in all channels
 
@@ -111,7 +110,7 @@ def render_band(
         relief.colour(coat.over)
 
         def shine(k: int) -> Shine:
-            return coat.light_on(leds[k], skin.glare, LED_RADIUS_MM)
+            return coat.light_on(leds[k], skin.glare)
 
     else:
         patches: Any = np.float32(skin.glare)
@@ -119,7 +118,7 @@ def render_band(
             patches = patches * surface.texture.gloss[patch.window]
 
         def shine(k: int) -> Shine:
-            entering, gloss = light_on(patch, leds[k], skin.roughness, LED_RADIUS_MM)
+            entering, gloss = light_on(patch, leds[k], skin.roughness)
             return entering, gloss * patches, None
 
         if skin.boundary.refraction > 0 or skin.boundary.entry_power != 1:
@@ -162,7 +161,7 @@ def render_ambient(
     level: float,
     skin: Medium,
     settings: RenderSettings | None = None,
-    up: NDArray[np.float64] | None = None,
+    up: Array | None = None,
 ) -> FloatArray:
     """(C, h, w) radiance of the finger in the window under a uniform hemisphere that gives a white
     card `level`.
@@ -258,7 +257,7 @@ class SubsurfaceScattering:
                 return
             smooth = self.spread(self._continued(_light_below(self.patch, below, leds[k], power)))
             for light, even, signal in zip(ridged, smooth, signals, strict=True):
-                yield np.asarray(even + np.float32(signal) * (light - even))
+                yield even + np.float32(signal) * (light - even)
 
         self._entering = entering
 
@@ -313,7 +312,7 @@ class _Sheet:
         self,
         slope_x: FloatArray,
         slope_y: FloatArray,
-        mask: NDArray[np.bool_],
+        mask: BoolArray,
         inner: tuple[slice, ...],
     ) -> None:
         """Lay out skin (h', w') by its slopes; what is laid back is the part `inner` of it."""

@@ -24,11 +24,10 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 from scipy.special import j1
 
 from splitknit.errors import require
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit.settings import Checked, Limits
 
 Channel = Literal["red", "green", "blue", "nir"]
@@ -292,7 +291,7 @@ REFRACTIVE_INDEX = 1.42
 Physics in Medicine and Biology 51, 1479)."""
 
 
-def fresnel(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX) -> NDArray[np.floating]:
+def fresnel(cosine: FloatArray, ratio: float = REFRACTIVE_INDEX) -> FloatArray:
     """Unpolarised Fresnel reflectance at `cosine` of incidence in [0, 1]; `ratio` is n behind / n
     before the surface.
 
@@ -322,8 +321,8 @@ class WalkTable(NamedTuple):
 
     # (radii, lengths): fraction of all walks that leave at a radius and after a length within the
     # bins
-    counts: NDArray[np.float64]
-    lengths: NDArray[np.float64]  # (lengths,) mean length of the walks in each bin of lengths
+    counts: Array
+    lengths: Array  # (lengths,) mean length of the walks in each bin of lengths
 
 
 @lru_cache(maxsize=1)
@@ -340,8 +339,8 @@ class Profile:
     """The diffusion profile of one medium: light leaves ring k, between two radii, with weight
     `weights[k]`."""
 
-    radii_mm: NDArray[np.float64]  # (rings + 1,) edges of the rings
-    weights: NDArray[np.float64]  # (rings,) their sum is the albedo
+    radii_mm: Array  # (rings + 1,) edges of the rings
+    weights: Array  # (rings,) their sum is the albedo
 
     @property
     def albedo(self) -> float:
@@ -353,7 +352,7 @@ class Profile:
         inside = np.concatenate([[0.0], np.cumsum(self.weights)]) / self.albedo
         return float(np.interp(fraction, inside, self.radii_mm))
 
-    def transfer(self, cycles_per_mm: NDArray[np.floating]) -> NDArray[np.float64]:
+    def transfer(self, cycles_per_mm: FloatArray) -> Array:
         """Fourier (Hankel) transform of the profile at a frequency, evenly spread within each ring.
 
         One ring between radii p and q has the transform 2 (q J1(kq) - p J1(kp)) / (k (q^2 - p^2)),
@@ -378,11 +377,9 @@ class Profile:
         return np.interp(index, np.arange(601), values).astype(np.float32)
 
 
-def diffusion_profile(
-    scattering_per_mm: float, absorption_per_mm: float, walks: WalkTable | None = None
-) -> Profile:
+def diffusion_profile(scattering_per_mm: float, absorption_per_mm: float) -> Profile:
     """Return the profile of a medium with reduced scattering and absorption in 1/mm, by the shipped
-    table of walks or by another one.
+    table of walks.
 
     Raises BadInput if scattering is not positive, absorption is negative, or absorption is so weak
     (below 0.2 % of scattering) that walks longer than the table would matter. Wang, Jacques and
@@ -396,7 +393,7 @@ def diffusion_profile(
         ratio >= 0.002,
         f"absorption must be at least 0.2 % of scattering, but it is {100 * ratio:.3g} %.",
     )
-    counts, lengths = walks or load_walks()
+    counts, lengths = load_walks()
     return Profile(
         RADIUS_EDGES / scattering_per_mm, np.sum(counts * np.exp(-ratio * lengths), axis=1)
     )

@@ -308,7 +308,7 @@ def choose_prints(
     firsts = _first_impressions(folder)
     # a third of the fingers have the ridges of a real print, where there are enough
     wanted = max(1, round((1 / 3) * len(subjects) * len(fingers)))
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D4]))
+    rng = np.random.default_rng([seed, 0xB0D4])
     identities = [
         (firsts[k], mirrored) for mirrored in (False, True) for k in rng.permutation(len(firsts))
     ][:wanted]

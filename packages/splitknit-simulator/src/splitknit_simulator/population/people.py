@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from splitknit.errors import require
+from splitknit.model import Array
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.finger import (
     TRAITS,
@@ -142,14 +142,14 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
         seed >= 0 and number >= 1,
         "seeds of populations are not negative, and people are numbered from 1.",
     )
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D1, number]))
+    rng = np.random.default_rng([seed, 0xB0D1, number])
     man = bool(rng.random() < ranges.men)
     optics = ranges.optics.draw(rng)
     hand = _Hand(rng)
     print_seeds = np.random.SeedSequence([seed, 0xB0D2, number]).spawn(len(FINGERS))
     fingers = {}
     for place, name in enumerate(FINGERS):
-        own = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D3, number, place]))
+        own = np.random.default_rng([seed, 0xB0D3, number, place])
         side, digit = divmod(place, len(DIGITS))
         score = hand.score("pattern", place, 0.35, 0.25)
         pattern = _pattern_class(own, score, SIDES[side], DIGITS[digit])
@@ -259,7 +259,7 @@ def _large_enough(settings: MasterPrintSettings, shape: FingerShape) -> MasterPr
 
 
 def _own_optics(rng: np.random.Generator, skin: SkinOptics, ranges: PeopleRanges) -> SkinOptics:
-    draws: NDArray[np.float64] = np.clip(rng.standard_normal(2), -2, 2)
+    draws: Array = np.clip(rng.standard_normal(2), -2, 2)
     # logarithmic standard deviations between a person's fingers
     blood = skin.blood * float(np.exp(0.10 * draws[0]))
     gain = skin.relief_gain * float(np.exp(0.05 * draws[1]))

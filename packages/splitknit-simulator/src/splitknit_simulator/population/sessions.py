@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from splitknit import Camera, Capture, Rig
@@ -35,6 +34,7 @@ from splitknit_simulator.population.people import (
     draw_person,
 )
 from splitknit_simulator.scene import BackgroundSettings, TwinSettings
+from splitknit_simulator.surface import Truth
 from splitknit_simulator.twin import photograph
 
 # What changes from one session to the next: how a finger is laid down, its skin, the camera and the
@@ -126,9 +126,9 @@ def draw_impression(
     """
     seed, number, session = place
     require(session >= 1, f"sessions are numbered from 1, but this is {session}.")
-    day = np.random.default_rng(np.random.SeedSequence([seed, 0x5E51, number, session]))
+    day = np.random.default_rng([seed, 0x5E51, number, session])
     which = FINGERS.index(own.name)
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E52, number, which, session]))
+    rng = np.random.default_rng([seed, 0x5E52, number, which, session])
 
     def normal() -> float:
         return float(np.clip(rng.standard_normal(), -2.0, 2.0))
@@ -217,7 +217,7 @@ class _Shown:
     """One capture of the population."""
 
     capture: Capture
-    truth: dict[str, NDArray[Any]]
+    truth: Truth
     # who, which finger and session, how it lay, how its skin was: plain numbers and words
     facts: dict[str, Any]
 
