@@ -70,8 +70,8 @@ def enroll_population(
             f"'{gallery}' keeps minutiae; enrol a population into a gallery of its own.",
         )
         waiting = _waiting([] if created else target.entries(), places, replace=settings.replace)
-        unread: list[dict[str, str]] = []
-        failures: list[dict[str, str]] = []
+        unread = []
+        failures = []
         enrolled = 0
         jobs = run_jobs(
             partial(_template_of, settings=settings), waiting, workers, "what is enrolled"
@@ -86,7 +86,7 @@ def enroll_population(
                     failures.append({"path": str(place.path), "reason": row.failure})
             progress(f"{place.person} {place.finger}", done / len(waiting))
         there = target.there
-        facts: dict[str, Any] = asdict(content_of(target, created=created)) if there else {}
+        facts = asdict(content_of(target, created=created)) if there else {}
     facts |= {
         "population": str(folder),
         "found": len(places),

@@ -37,8 +37,8 @@ def compare_block(folder: Path, name: str, origin: Mapping[str, Any], block: Blo
     matcher, names, places = matcher_of(name), block.names, block.places
     missing = dict.fromkeys(("similarity", *matcher.columns), math.nan)
     earlier = {int(a): matcher.database(places[a]) for a in np.unique(block.pairs.a)}
-    rows: list[dict[str, Any]] = []
-    query: Any = None
+    rows = []
+    query = None
     previous = -1
     columns = (block.pairs.a, block.pairs.b, block.pairs.genuine)
     for a, b, genuine in zip(*(column.tolist() for column in columns), strict=True):

@@ -189,7 +189,7 @@ def open_store(
     of a run that compares. Raises BadInput if it is damaged, or
     of another population, version or settings.
     """
-    document: dict[str, Any] = {
+    document = {
         "format": FORMAT,
         "format_version": VERSION,
         "software": "splitknit",

@@ -25,7 +25,7 @@ def write_surface(path: Path, surface: Surface, height_mm: FloatArray) -> None:
     height, shape, ridge = (
         field[mask] for field in (height_mm, surface.shape_mm, surface.ridge_mm)
     )
-    arrays: dict[str, Any] = {
+    arrays = {
         "mask": mask,
         "pitch_mm": surface.pitch_mm,
         "input_from_upright": surface.input_from_upright,

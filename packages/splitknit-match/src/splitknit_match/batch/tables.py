@@ -42,7 +42,7 @@ _TYPES: dict[str, type] = dict.fromkeys(_TEXTS, np.str_) | dict.fromkeys(_FLAGS,
 
 def write_table(path: Path, rows: Sequence[Mapping[str, Any]], origin: Mapping[str, Any]) -> None:
     """Write `rows`, of the same columns, and their `origin`; equal ones give equal bytes."""
-    arrays: Table = {ORIGIN: np.array(canonical_json(origin))}
+    arrays = {ORIGIN: np.array(canonical_json(origin))}
     for name in rows[0]:
         values = [row[name] for row in rows]
         if name in _PAYLOADS:

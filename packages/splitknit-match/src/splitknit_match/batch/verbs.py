@@ -252,7 +252,7 @@ def enroll(
             duplicates=duplicates or "warn",
             progress=progress,
         )
-        facts: dict[str, Any] = dict(known_json(enrolment.content))
+        facts = dict(known_json(enrolment.content))
         facts |= {"enrolled": known_json(enrolment.enrolled), "alike": known_json(enrolment.alike)}
         lines = [
             _enrolled_line(capture)

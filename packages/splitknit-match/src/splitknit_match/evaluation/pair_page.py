@@ -37,7 +37,7 @@ def write_comparison(
     simulated error is stated; `repeat`: B and a second B, which measures B's own error.
     """
     turn = np.rad2deg(np.arccos(np.clip((np.trace(pair.rotation) - 1.0) / 2.0, -1.0, 1.0)))
-    facts: dict[str, Any] = {
+    facts = {
         **report_head(FORMAT),
         "a": str(names[0]),
         "b": str(names[1]),

@@ -42,7 +42,7 @@ def export_gallery(gallery: GalleryFile, out: Path, *, person: str | None = None
     people = gallery.people(name)
     about = {"format": _FORMAT, "version": _VERSION, "template_version": VERSION}
     about["settings_sha256"] = people.settings_sha256
-    table: list[list[Any]] = [[*_COLUMNS]]
+    table = [[*_COLUMNS]]
     with atomic_folder(out) as folder:
         folder.chmod(0o700)
         (folder / "templates").mkdir(mode=0o700)

@@ -222,7 +222,7 @@ class Gallery(GalleryFile):
         one_blas_thread()
         how = how or Enrolling()
         ppi = how.resolution_ppi if resolution_ppi is None else resolution_ppi
-        several: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
+        several = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
         ridges = ridges or how.ridges
         sources = [held(source, ppi, ridges) for source in several]
         if any(isinstance(source, Pixels) for source in sources):

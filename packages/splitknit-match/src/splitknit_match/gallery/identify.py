@@ -191,7 +191,7 @@ def identify_finger(
     side = read(lambda stage, fraction: progress(stage, 0.5 * fraction))
     side = side if of_minutiae else with_print(side)
     if side.either and not of_minutiae:
-        found: list[Identification] = []
+        found = []
         for light in (False, True):
             reading = partial(lambda part, _: part, side.reading(light=light))
             found.append(
@@ -310,8 +310,8 @@ def _search(
     acquired = sought.acquired
     compared_by = "ridge"
     quick = False
-    findings: list[Finding] = []
-    comparisons: list[_Comparison] = []
+    findings = []
+    comparisons = []
     if isinstance(probe, Minutiae):
         compared_by = "minutiae"
         comparisons = _by_minutiae(people, probe, acquired)

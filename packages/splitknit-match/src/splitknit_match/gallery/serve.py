@@ -99,7 +99,7 @@ def openapi() -> dict[str, Any]:
     }
     document = {"content": {"application/json": {"schema": {"type": "object"}}}}
     responses = {code: {"description": text, **document} for code, text in answers.items()}
-    paths: dict[str, Any] = {}
+    paths = {}
     for name, (words, fields, needed) in ACTS.items():
         known = {
             key: {"type": kinds[kind], "description": text} for key, (kind, text) in fields.items()

@@ -304,7 +304,7 @@ def gallery_info(gallery: AnyPath, *, key_file: KeyFile = None) -> Report:
     from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
     with _opened(gallery, key_file) as opened:
-        facts: dict[str, Any] = asdict(content_of(opened, created=False))
+        facts = asdict(content_of(opened, created=False))
         template_bytes = sum(entry.template_bytes for entry in opened)
     del facts["created"]
     file_bytes = Path(gallery).stat().st_size

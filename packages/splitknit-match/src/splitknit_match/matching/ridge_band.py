@@ -200,7 +200,7 @@ def band_places(
     # slopes of the shape, on a grid of 0.25 mm and smooth: ridges must not stretch the skin
     reduced = max(1, int(0.25 / pitch_mm))
     small = max(1, mask.shape[1] // reduced), max(1, mask.shape[0] // reduced)
-    weight: AnyArray = cv2.resize(mask.astype(np.float32), small, interpolation=cv2.INTER_AREA)
+    weight = cv2.resize(mask.astype(np.float32), small, interpolation=cv2.INTER_AREA)
     height: AnyArray = cv2.resize(
         np.where(mask, shape_mm, 0.0), small, interpolation=cv2.INTER_AREA
     )

@@ -157,7 +157,7 @@ def scaled(template: Template, scale: float) -> Template:
         return template
     rows, columns = (max(1, round(side * scale)) for side in template.valid.shape)
     value = np.asarray(cv2.resize(template.value(), (columns, rows)), dtype=np.float32)
-    valid = np.asarray(cv2.resize(template.valid.astype(np.float32), (columns, rows)) > 0.5)
+    valid = cv2.resize(template.valid.astype(np.float32), (columns, rows)) > 0.5
     larger = replace(leveled(value, valid, template.pitch_mm), kind=template.kind)
     minutiae = template.minutiae
     if minutiae is None:

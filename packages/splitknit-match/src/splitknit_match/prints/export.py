@@ -177,7 +177,7 @@ def _exported(
     for source in sources:
         check_target(out, FACTS_FILE, "an earlier export", keep=source)
     rows: list[Facts] = []
-    findings: list[Finding] = []
+    findings = []
     hashes: dict[str, str] = {}
     with atomic_folder(out) as folder:
         for number, source in enumerate(sources):

@@ -85,7 +85,7 @@ def write_print(
         impression = "live_plain" if method == "file" else "contactless"
         view = finger_view(minutiae, score, source.subject.get("finger"), impression)
         write_file(target / "minutiae.iso", encode_minutiae_record(view))
-        facts: Facts = {
+        facts = {
             "method": method,
             "surface": place,
             "source": {
@@ -229,7 +229,7 @@ def _quality_facts(
     from splitknit_match.prints.minutiae import NFIQ2_FAILED, nfiq2  # large, and not everywhere
 
     figures = asdict(quality.figures)
-    facts: Facts = {
+    facts = {
         "nfiq2": None,
         "ours": round(quality.score, 1),
         "figures": {

@@ -80,7 +80,7 @@ def ridge_field(
     if inside is None:
         inside = np.ones(image.shape, dtype=bool)
     nodes = np.pad(inside, ((0, below), (0, beside))).reshape(n, step, m, step)
-    mask: BoolArray = np.asarray(nodes.any(axis=(1, 3)))
+    mask = np.asarray(nodes.any(axis=(1, 3)))
     require(mask.any(), NO_RIDGES)
     coherence = np.hypot(narrow[1], narrow[2]) / np.maximum(narrow[0], 1e-6)
     trust = coherence**4

@@ -128,7 +128,7 @@ def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
 
 def _fields(record: bytes) -> dict[int, bytes]:
     """Contents of a tagged record's fields by their numbers; the image is the last, 999."""
-    fields: dict[int, bytes] = {}
+    fields = {}
     place, end = 0, len(record) - len(_RECORD_END)
     while place < end:
         tag = _TAG.match(record, place)

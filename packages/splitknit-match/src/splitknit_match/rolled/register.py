@@ -164,7 +164,7 @@ class _Part:
         )
         every, knots = _knots(chart)
         down, across = (_hats(n, every, k) for n, k in zip(chart.shape, knots, strict=True))
-        weights: Any = scipy.sparse.kron(scipy.sparse.csr_array(down), across)
+        weights = scipy.sparse.kron(scipy.sparse.csr_array(down), across)
         self.spread: Any = weights.tocsr()[self.rows * chart.shape[1] + self.columns]
         band = _evened(mirror.band, mirror.known, chart.pitch_mm)
         self.fields = band, np.gradient(band, axis=1), np.gradient(band, axis=0)
@@ -182,9 +182,7 @@ class _Part:
         score = _correlation(seen, self.target)
         jacobian = across[:, None] * self.modes[:, 0] + down[:, None] * self.modes[:, 1]  # (K, 4)
         by_knots = scipy.sparse.diags_array(jacobian[:, 0]) @ self.spread
-        matrix: Any = scipy.sparse.hstack(
-            [by_knots, scipy.sparse.csr_array(jacobian[:, 1:])]
-        ).tocsr()
+        matrix = scipy.sparse.hstack([by_knots, scipy.sparse.csr_array(jacobian[:, 1:])]).tocsr()
         return matrix, self.target - seen, score
 
 
@@ -364,7 +362,7 @@ def search(  # noqa: PLR0915
         minimum = minimize(loss, np.zeros(6), method="Nelder-Mead", options=options)
         return -float(minimum.fun), start + minimum.x * _SIMPLEX
 
-    options: Any = {
+    options = {
         "initial_simplex": np.eye(7, 6, -1),
         "maxfev": 200,
         "xatol": 0.02,
