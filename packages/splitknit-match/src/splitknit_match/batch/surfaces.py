@@ -8,7 +8,6 @@ features of the relief by 7 %.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 

@@ -14,7 +14,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from splitknit import BadInput, Capture, Reconstruction, read_capture
 from splitknit.arguments import AnyPath, Natural, Preset, Ridges, checked

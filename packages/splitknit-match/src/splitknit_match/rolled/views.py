@@ -209,8 +209,8 @@ def view_light(  # noqa: PLR0917
         """A light of the rig's frame in the view's moved frame, with its shade."""
         led = led if sight.plane is None else led_image(led, sight.plane)
         if led.position_mm is not None:
-            x, y, z = (led.position_mm - origin_mm).tolist()
-            right, up, out = led.axis.tolist()
+            x, y, z = (np.asarray(led.position_mm) - origin_mm).tolist()
+            right, up, out = np.asarray(led.axis).tolist()
             led = replace(led, position_mm=(x, y, z), aim=(right, up, out))
         return replace(led, shade=shade_of(lit, grid.view), reflected=True, also=())
 
