@@ -32,8 +32,8 @@ from splitknit_match.matching.thesis import (
     thesis_match,
 )
 from splitknit_match.prints.minutiae import extract, nfiq2
-from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.pressed import pressed_ridges
+from splitknit_match.records.minutiae_record import pack_minutiae
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.surface import SimulatedSurface
 from timing import machine, print_table, race

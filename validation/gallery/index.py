@@ -37,7 +37,7 @@ from splitknit_match.matching.methods import similarity_at
 from splitknit_match.matching.minutia_pairs import pair_minutiae
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, pack, print_size, unpack
-from splitknit_match.prints.minutiae_record import Minutiae
+from splitknit_match.records.minutiae_record import Minutiae
 from splitknit_match.records.pictures import read_print_png
 
 HERE = Path(__file__).resolve().parent

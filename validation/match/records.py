@@ -37,8 +37,8 @@ from splitknit_match.evaluation.scores import Scores, ids_of
 from splitknit_match.matching.methods import similarity_at
 from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.prints.from_file import minutiae_of
-from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.records.minutiae_files import read_minutiae_record
+from splitknit_match.records.minutiae_record import Minutiae
 from splitknit_match.threads import one_blas_thread
 
 OUT = Path(__file__).with_name("records.json")

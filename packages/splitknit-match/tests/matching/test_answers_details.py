@@ -37,7 +37,7 @@ from splitknit_match.matching.score import (
     read_own_rates,
 )
 from splitknit_match.matching.template import failed_template
-from splitknit_match.prints.minutiae_record import no_minutiae
+from splitknit_match.records.minutiae_record import no_minutiae
 
 LEFT = ComparedSide("a.png", "print", 120.0, True)
 RIGHT = ComparedSide("b.png", "print", 110.0, True)

@@ -16,7 +16,7 @@ from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import fmr_basis, rate, scores_of, similarity_at
 from splitknit_match.matching.score import read_own_rates
 from splitknit_match.matching.template import VERSION, leveled, pack, print_size, unpack
-from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae, pack_minutiae
+from splitknit_match.records.minutiae_record import Minutiae, no_minutiae, pack_minutiae
 from splitknit_match.records.pictures import read_print_png
 from splitknit_match.records.templates import write_template
 

@@ -29,8 +29,7 @@ from splitknit_match.batch.population import (
     read_population,
 )
 from splitknit_match.batch.scores import Block, compare_block, write_scores
-from splitknit_match.batch.store import Store, locked, open_store
-from splitknit_match.batch.tables import read_table
+from splitknit_match.batch.store import Store, locked, open_store, read_table
 from splitknit_match.batch.tasks import Done, Task, Work, Workers, connected, run_tasks
 
 _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"

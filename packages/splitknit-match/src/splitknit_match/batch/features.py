@@ -23,14 +23,19 @@ from splitknit.presets import chosen_settings
 from splitknit.reconstruction import surface_of
 from splitknit_match.batch.cases import Case
 from splitknit_match.batch.population import CaptureRef
-from splitknit_match.batch.store import TEMPLATES
-from splitknit_match.batch.surfaces import write_surface
-from splitknit_match.batch.tables import SUFFIX, read_origin, read_table, write_table
+from splitknit_match.batch.store import (
+    SUFFIX,
+    TEMPLATES,
+    read_origin,
+    read_table,
+    write_surface,
+    write_table,
+)
 from splitknit_match.batch.tasks import Done
 from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import pack
 from splitknit_match.prints.minutiae import extract
-from splitknit_match.prints.minutiae_record import no_minutiae, pack_minutiae
+from splitknit_match.records.minutiae_record import no_minutiae, pack_minutiae
 
 PRINT_PPI = 500.0
 """Resolution of the prints that are kept. Source: definition."""

@@ -28,7 +28,7 @@ from splitknit_match.matching.thesis import (
 )
 from splitknit_match.matching.thesis_code import CodeSide, code_match, code_side
 from splitknit_match.prints.minutiae import EDGE_MM
-from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
+from splitknit_match.records.minutiae_record import Minutiae, unpack_minutiae
 
 Values = dict[str, float]
 _RIDGE = ("correlation", "overlap_mm2", "rotation_deg")

@@ -15,8 +15,7 @@ from splitknit.errors import refusing
 from splitknit.io.atomic import write_file
 from splitknit.io.provenance import provenance, settings_hash
 from splitknit_match.batch.matchers import matcher_of
-from splitknit_match.batch.store import SCORES, Place
-from splitknit_match.batch.tables import SUFFIX, Table, read_origin, write_table
+from splitknit_match.batch.store import SCORES, SUFFIX, Place, Table, read_origin, write_table
 from splitknit_match.batch.tasks import Done
 from splitknit_match.evaluation.protocol import Comparisons
 from splitknit_match.evaluation.scores import score_table

@@ -23,7 +23,7 @@ from splitknit_match.gallery.identify import (
 from splitknit_match.matching.inputs import held, side_reader
 from splitknit_match.matching.match import Finger
 from splitknit_match.matching.template import unpack
-from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
+from splitknit_match.records.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit_match.threads import one_blas_thread
 
 _NAME = Path("candidates")

@@ -21,7 +21,7 @@ from splitknit.io.targets import check_target
 from splitknit_match.gallery.file import FIELDS, Entry, GalleryFile, NewCapture, check_person
 from splitknit_match.gallery.gallery import content_of
 from splitknit_match.matching.template import VERSION, unpack
-from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
+from splitknit_match.records.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit_match.records.templates import encode_template, read_template
 
 TABLE_FILE, FACTS_FILE = "gallery.csv", "gallery.json"

@@ -56,8 +56,8 @@ from splitknit_match.matching.methods import side_minutiae
 from splitknit_match.matching.results import one_in
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import mirrored
-from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
+from splitknit_match.records.minutiae_record import pack_minutiae
 from splitknit_match.threads import one_blas_thread
 
 _log = logging.getLogger(__name__)

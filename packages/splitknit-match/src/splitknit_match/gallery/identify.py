@@ -54,7 +54,7 @@ from splitknit_match.matching.results import (
 )
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
+from splitknit_match.records.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
 from splitknit_match.threads import one_blas_thread
 
 TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7bc"

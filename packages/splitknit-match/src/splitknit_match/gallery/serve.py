@@ -34,7 +34,7 @@ from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.matching.inputs import Pixels
 from splitknit_match.matching.match import make_template
 from splitknit_match.prints.from_file import MAX_PPI, MIN_PPI, minutiae_of
-from splitknit_match.prints.minutiae_record import pack_minutiae
+from splitknit_match.records.minutiae_record import pack_minutiae
 from splitknit_match.records.pictures import PrintFile
 from splitknit_match.records.print_formats import decode_prints
 

@@ -46,7 +46,7 @@ from splitknit_match.matching.ridge import (
     turn_of,
 )
 from splitknit_match.matching.template import Template, scaled
-from splitknit_match.prints.minutiae_record import pack_minutiae
+from splitknit_match.records.minutiae_record import pack_minutiae
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ from splitknit_match.matching.ridge import Prepared, RidgeMatch, ridge_match
 from splitknit_match.matching.score import FMR_ROUNDING, FmrTable
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.template import VERSION, Template, mirrored
-from splitknit_match.prints.minutiae_record import PPI, Minutiae
+from splitknit_match.records.minutiae_record import PPI, Minutiae
 from splitknit_match.records.templates import is_template, write_template
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid
 from splitknit_match.matching.ridge_band import RidgeBand
-from splitknit_match.prints.minutiae_record import Minutiae
+from splitknit_match.records.minutiae_record import Minutiae
 
 Places = NDArray[np.complex128]
 Directed = tuple[Places, Array]

@@ -19,7 +19,7 @@ from splitknit.checks import check_mask
 from splitknit.errors import require
 from splitknit.imaging.geometry import gaussian_mean, height_gradients, sampled_at
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_match.prints.minutiae_record import LARGEST_MM2
+from splitknit_match.records.minutiae_record import LARGEST_MM2
 
 AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4

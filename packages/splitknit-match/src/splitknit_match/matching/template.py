@@ -6,7 +6,7 @@ number of runs (uint32), pitch in micrometres (uint16); the lengths of alternati
 and valid pixels in row order (uint16 each, or 65535 and a uint32 for longer ones); two bits for
 each valid pixel, the first pixel in the lowest bits; of a surface, the payload of its print; and of
 a print, where they were found, its minutiae
-(:func:`splitknit_match.prints.minutiae_record.pack_minutiae`, with a version of their own). A
+(:func:`splitknit_match.records.minutiae_record.pack_minutiae`, with a version of their own). A
 finger that could not be acquired is a payload of zero bytes.
 """
 
@@ -24,7 +24,7 @@ from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.ridge_band import RidgeBand
-from splitknit_match.prints.minutiae_record import (
+from splitknit_match.records.minutiae_record import (
     KINDS,
     LARGEST_MM2,
     PPI,

@@ -36,13 +36,14 @@ from splitknit_match.prints.from_file import (
     read_print_folder,
 )
 from splitknit_match.prints.make import Print, enhance, make_print, measured, minutiae_by_phase
-from splitknit_match.prints.minutiae_record import PPI, no_minutiae
 from splitknit_match.prints.sources import read_source
 from splitknit_match.records.minutiae_record import (
     FINGER_CODES,
     IMPRESSIONS,
+    PPI,
     VENDOR_UNKNOWN,
     FingerView,
+    no_minutiae,
 )
 from splitknit_match.records.pictures import PrintFile
 from splitknit_match.records.print_formats import FORMATS, WSQ_PPI, PrintFormat, Writing

@@ -36,12 +36,12 @@ from splitknit.model import BoolArray, FloatArray, GreyArray, PixelArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM, ridge_period_px
-from splitknit_match.prints.minutiae_record import PPI
 from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo, fraction_of_skin
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, plane_map, resample
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
+from splitknit_match.records.minutiae_record import PPI
 from splitknit_match.records.pictures import is_coloured
 
 PHOTOGRAPH = "fingerphoto"

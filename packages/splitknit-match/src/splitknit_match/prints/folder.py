@@ -27,10 +27,10 @@ from splitknit_match.prints.from_file import (
     read_one_finger,
 )
 from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
-from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.sources import Source
 from splitknit_match.records.minutiae_files import encode_minutiae_record
+from splitknit_match.records.minutiae_record import PPI, Minutiae
 from splitknit_match.records.pictures import PrintFile
 
 if TYPE_CHECKING:

@@ -21,12 +21,17 @@ from splitknit.imaging.pixels import bin_mean
 from splitknit.model import BoolArray, FloatArray, GreyArray
 from splitknit_match.prints.make import Print
 from splitknit_match.prints.minutiae import at_500_ppi, is_a_fingers
-from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges, usual_contrast
 from splitknit_match.prints.print_map import PrintMap, plane_map
 from splitknit_match.prints.ridge_field import closed_opened
 from splitknit_match.records.minutiae_files import read_minutiae_record
-from splitknit_match.records.minutiae_record import FINGER_CODES, RESOLUTION_500_PPI, FingerView
+from splitknit_match.records.minutiae_record import (
+    FINGER_CODES,
+    PPI,
+    RESOLUTION_500_PPI,
+    FingerView,
+    Minutiae,
+)
 from splitknit_match.records.pictures import PrintFile, read_print_png
 from splitknit_match.records.print_formats import read_prints
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from splitknit.errors import importing, require
 from splitknit.model import FloatArray, GreyArray
-from splitknit_match.prints.minutiae_record import (
+from splitknit_match.prints.ridge_field import closed_opened, outline_distance_mm
+from splitknit_match.records.minutiae_record import (
     BIFURCATION,
     ENDING,
     LARGEST_MM2,
@@ -23,7 +24,6 @@ from splitknit_match.prints.minutiae_record import (
     Minutiae,
     no_minutiae,
 )
-from splitknit_match.prints.ridge_field import closed_opened, outline_distance_mm
 
 # How far inside a print its minutiae lie.
 #

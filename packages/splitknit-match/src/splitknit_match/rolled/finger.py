@@ -20,7 +20,7 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.observation.observe import observe
 from splitknit.skin.grid import smooth_step
 from splitknit.skin.images import MetricSettings
-from splitknit_match.rolled.chart import Chart, crossing, surface_normals
+from splitknit_match.rolled.chart import Chart, Sight, crossing, surface_normals
 from splitknit_match.rolled.register import (
     MIN_CORRELATION,
     ViewRidges,
@@ -28,7 +28,6 @@ from splitknit_match.rolled.register import (
     ridges_of,
     search,
 )
-from splitknit_match.rolled.sight import Sight
 from splitknit_match.rolled.views import MirrorViews, ViewRelief, view_relief
 
 

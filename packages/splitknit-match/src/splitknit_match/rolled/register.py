@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from splitknit.imaging.geometry import sampled_at, smoothed
 from splitknit.imaging.view import pixels_of
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_match.rolled.chart import Chart
-from splitknit_match.rolled.sight import Sight
+from splitknit_match.rolled.chart import Chart, Sight
 
 # Ridges by themselves: a relief without what is smooth in it.
 
