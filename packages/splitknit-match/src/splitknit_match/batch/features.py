@@ -143,8 +143,9 @@ def extract_minutiae(features: Path, target: Path, file: Path) -> Done:
     if data:
         name = f"the print of '{capture}' in '{file}'"
         pixels = decode_image(data, name)
-        sound = pixels.shape[2] == 1 and pixels.dtype == np.uint8
-        require(sound, f"{name} is not an 8-bit grey image.")
+        require(
+            pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image."
+        )
         minutiae = extract(np.asarray(pixels[..., 0], dtype=np.uint8))
     row = {
         "capture": capture,

@@ -118,9 +118,8 @@ def differences(
     of single figures: of 12 fingers none of which does, up to 3 / 12 either way. Raises BadInput if
     the systems differ in number or labels, or `method` lacks its ids.
     """
-    same = np.array_equal(first.label, second.label)
     require(
-        same,
+        np.array_equal(first.label, second.label),
         f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.",
     )
     curves = [roc(system.genuine, system.impostor) for system in (first, second)]

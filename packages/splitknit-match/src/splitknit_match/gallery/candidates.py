@@ -85,8 +85,9 @@ class Candidates:
     def remove(self, name: str) -> None:
         """Take a template out. Raises BadInput if there is none of this name."""
         left = self._without((name,))
-        there = len(left.entries) < len(self)
-        require(there, f"there is no template '{name}' among the candidates.")
+        require(
+            len(left.entries) < len(self), f"there is no template '{name}' among the candidates."
+        )
         self._people = left
 
     def prepare(self, progress: Progress = no_progress) -> None:

@@ -230,8 +230,10 @@ class Gallery(GalleryFile):
         how = replace(how, resolution_ppi=ppi, ridges=ridges)
         kinds = "a capture, a result, a template (.skt), a print or a record of minutiae"
         require(sources, f"name {kinds} to enrol.")
-        single = len(sources) == 1 or session is None
-        require(single, "`session` goes with one source; several are numbered by themselves.")
+        require(
+            len(sources) == 1 or session is None,
+            "`session` goes with one source; several are numbered by themselves.",
+        )
         person, finger = check_person(person), known_finger(finger)
         if session is not None:
             check_session(session)
@@ -247,11 +249,11 @@ class Gallery(GalleryFile):
 
             row = made_of(source, how, settings_sha256 == MINUTIAE_HASH, part)
             name = f"'{source}'" if isinstance(source, Path) else "what was given"
-            fault = (
+            require(
+                not row.failure or row.kind == "template",
                 f"{name} holds {row.failure} (failure to acquire), so nothing was enrolled; capture"
-                " it again."
+                " it again.",
             )
-            require(not row.failure or row.kind == "template", fault)
             rows.append(row)
         earlier = [] if created else self.entries(person, finger)
         sessions = _sessions(rows, earlier, session)

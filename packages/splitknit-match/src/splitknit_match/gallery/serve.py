@@ -141,8 +141,10 @@ def make_app(
     Raises BadInput if the token is short, the audit file cannot be written, or Starlette is not
     installed.
     """
-    sound = len(token) >= _MIN_TOKEN and token.isascii()
-    require(sound, f"the token must have {_MIN_TOKEN} ASCII characters or more.")
+    require(
+        len(token) >= _MIN_TOKEN and token.isascii(),
+        f"the token must have {_MIN_TOKEN} ASCII characters or more.",
+    )
     _write_line(audit, {"act": "start"})
     with importing("serving needs Starlette and uvicorn: pip install 'splitknit-match[serve]'."):
         from anyio import CapacityLimiter, fail_after, move_on_after, to_thread
@@ -327,8 +329,10 @@ def _fields_of(name: str, body: bytes) -> dict[str, Any]:
         sound = isinstance(value, int | float if kind is float else kind) and not isinstance(
             value, bool
         )
-        sound = sound and (kind is not float or abs(value) <= sys.float_info.max)
-        require(sound, f"'{key}' must be a {'number' if kind is not str else 'text'}.")
+        require(
+            sound and (kind is not float or abs(value) <= sys.float_info.max),
+            f"'{key}' must be a {'number' if kind is not str else 'text'}.",
+        )
     for key in needed:
         require(key in fields, f"'{key}' is missing: {known[key][1]}.")
     single = ("print" in fields) != ("template" in fields)

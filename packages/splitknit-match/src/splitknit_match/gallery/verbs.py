@@ -491,8 +491,10 @@ def serve(
     from splitknit_match.gallery.gallery import Gallery
     from splitknit_match.gallery.serve import make_app, read_token
 
-    good = (certificate is None) == (certificate_key is None)
-    require(good, "`certificate` and `certificate_key` go together.")
+    require(
+        (certificate is None) == (certificate_key is None),
+        "`certificate` and `certificate_key` go together.",
+    )
     cure = "give `certificate` and `certificate_key` for TLS, or a proxy's."
     require(host in LOCAL or certificate is not None, f"'{host}' is not this machine alone; {cure}")
     token = read_token(None if token_file is None else Path(token_file))

@@ -551,8 +551,10 @@ def rate(
 
 def check_rate(fmr: Any) -> None:
     """Raise BadInput if the rate at which is to be decided is none."""
-    sound = fmr is None or (isinstance(fmr, int | float) and 0 < fmr < 1)
-    require(sound, f"`fmr` must lie between 0 and 1, but it is {fmr!r}.")
+    require(
+        fmr is None or (isinstance(fmr, int | float) and 0 < fmr < 1),
+        f"`fmr` must lie between 0 and 1, but it is {fmr!r}.",
+    )
 
 
 def fmr_basis(method: str = "ridge") -> FmrBasis:

@@ -303,6 +303,5 @@ def unpack(payload: bytes) -> Template:
     template = Template(
         level.reshape(shape), inside.reshape(shape), pitch_um / 1000, minutiae, KINDS[number], flat
     )
-    known_grid = not (minutiae and minutiae.count) or minutiae.size == print_size(template)
-    require(known_grid, wrong)
+    require(not (minutiae and minutiae.count) or minutiae.size == print_size(template), wrong)
     return template

@@ -295,9 +295,8 @@ def _surface(source: Path, preset: str, hashes: dict[str, str]) -> tuple[Reconst
         capture = read_capture(source)
         hashes.update(capture.hashes)
         return naming(source, lambda: reconstruct(capture, preset)), {"kind": "capture"}
-    named = arrays.suffix.lower() == ".npz" and arrays.is_file()
     require(
-        named,
+        arrays.suffix.lower() == ".npz" and arrays.is_file(),
         f"'{source}' has no surface to export; name a result (height.npz) or a capture"
         " (capture.json).",
     )

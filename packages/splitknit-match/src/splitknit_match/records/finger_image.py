@@ -100,11 +100,11 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
         data[:4] == MAGIC,
         f"{name} is not a finger image record (they begin with 'FIR'); name another file.",
     )
-    fault = (
+    require(
+        data[4:8] == _V2005,
         f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 (of 2005) is"
-        " read: convert it."
+        " read: convert it.",
     )
-    require(data[4:8] == _V2005, fault)
     cursor = Cursor(data, name, 8)
     check_length(data, int.from_bytes(cursor.take(6, "its header"), "big"), name)
     _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
@@ -134,8 +134,10 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
         left -= image.size
         position = name_of(finger, FINGER_CODES, f"finger position of {where}")
         prints.append(PrintFile(image, ppi, {}, position, impression_of(impression, _IMPRESSIONS)))
-    more = f"{name} is damaged: it holds no image, or more than {_MAX_IMAGES}."
-    require(prints and cursor.place == len(data), more)
+    require(
+        prints and cursor.place == len(data),
+        f"{name} is damaged: it holds no image, or more than {_MAX_IMAGES}.",
+    )
     return tuple(prints)
 
 

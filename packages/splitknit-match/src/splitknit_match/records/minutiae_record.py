@@ -279,9 +279,9 @@ def unpack_minutiae(data: bytes) -> Minutiae:
     if not data:
         return no_minutiae()
     remedy = "extract them from the print again."
-    sound = len(data) > _HEAD.size and holds_minutiae(data)
     require(
-        sound, f"these {len(data)} bytes are no packed minutiae (they begin with 'SKMI'); {remedy}"
+        len(data) > _HEAD.size and holds_minutiae(data),
+        f"these {len(data)} bytes are no packed minutiae (they begin with 'SKMI'); {remedy}",
     )
     _, version, kind, rows, columns, count, checksum = _HEAD.unpack_from(data)
     require(
