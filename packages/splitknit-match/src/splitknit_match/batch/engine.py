@@ -19,7 +19,7 @@ from splitknit.findings import Finding
 from splitknit.io.targets import check_file
 from splitknit.model import Progress, no_progress
 from splitknit_match.batch.cases import Case, preset_cases
-from splitknit_match.batch.features import CaptureTask, extract_minutiae, reconstruct_capture
+from splitknit_match.batch.features import extract_minutiae, reconstruct_capture
 from splitknit_match.batch.matchers import matcher_of
 from splitknit_match.batch.population import (
     Population,
@@ -154,14 +154,14 @@ def _reconstruct(run: _Run, cases: Sequence[Case], surfaces: bool) -> dict[str, 
     population = run.population
     tasks = []
     for capture in population.captures:
-        lacking = tuple(case for case in cases if capture.name not in finished[case.name])
+        lacking = [case for case in cases if capture.name not in finished[case.name]]
         if lacking:
-            tasks.append(CaptureTask(capture, lacking))
+            tasks.append((capture, lacking))
     people = population.folder.resolve()
     work = partial(reconstruct_capture, run.store.folder, people, population.sha256, surfaces)
     results = run.done(work, tasks, "reconstructing")
     unreadable = sorted(capture for result in results for capture in result.unreadable)
-    count, lacking_count = len(population.captures), sum(len(task.cases) for task in tasks)
+    count, lacking_count = len(population.captures), sum(len(lacking) for _, lacking in tasks)
     return {
         "captures": count,
         "planned": population.planned,

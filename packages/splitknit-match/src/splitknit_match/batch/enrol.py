@@ -4,11 +4,12 @@ counted and kept."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from splitknit import BadInput, read_capture
 from splitknit.errors import Refused, require
 from splitknit.io.enrolment import FINGERS
 from splitknit.model import Progress, no_progress
@@ -25,7 +26,7 @@ from splitknit_match.gallery.gallery import (
     Enrolling,
     Made,
     content_of,
-    made_or_failed,
+    made_of,
     new_capture,
     settings_of,
     source_hash,
@@ -64,7 +65,7 @@ def enroll_population(
     progress("looking", 0.0)
     places = _found_in(folder)
     with GalleryFile(gallery, key) as target:
-        created, sha256 = not target.there, settings_of(target, settings)
+        created, sha256 = not target.there, settings_of(target)
         require(
             sha256 != MINUTIAE_HASH,
             f"'{gallery}' keeps minutiae; enrol a population into a gallery of its own.",
@@ -163,4 +164,20 @@ def _waiting(
 
 
 def _template_of(place: _Source, settings: Enrolling) -> Made | str:
-    return made_or_failed(place.path, settings)
+    """Make the template of a source: a capture that is sound but shows no finger is a failure to
+    acquire.
+
+    Returns a sentence, and no row, where the files themselves are unusable.
+    """
+    path = place.path
+    try:
+        return replace(made_of(path, settings), side=None)
+    except BadInput as error:
+        if not (path / "capture.json").is_file() or (path / "height.npz").is_file():
+            return str(error)
+        try:
+            read_capture(path)
+        except BadInput as unread:
+            return str(unread)
+        failure = str(error).removeprefix(f"{path}: ")
+        return Made("capture", b"", 0.0, source_hash(path), failure)

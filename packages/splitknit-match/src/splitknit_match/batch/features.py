@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,23 +47,20 @@ _MINUTIAE_VERSION = 2
 definition."""
 
 
-@dataclass(frozen=True, slots=True)
-class CaptureTask:
-    """A capture, and the cases that it lacks."""
-
-    capture: CaptureRef
-    cases: tuple[Case, ...]
-
-
 def reconstruct_capture(
-    store: Path, population: Path, population_sha256: str, surfaces: bool, task: CaptureTask
+    store: Path,
+    population: Path,
+    population_sha256: str,
+    surfaces: bool,
+    task: tuple[CaptureRef, Sequence[Case]],
 ) -> Done:
     """Reconstruct a capture and write a table of one row for each case.
 
     A capture that cannot be read gets no row, so that a later run looks at it again; one whose
     sound images are black or overexposed is a failure to acquire.
     """
-    name = task.capture.name
+    taken, cases = task
+    name = taken.name
     capture, unusable = None, ""
     try:
         capture = read_capture(population / name, threads=network_threads())
@@ -73,21 +70,22 @@ def reconstruct_capture(
             return Done(0, unreadable=((name, unusable),))
     failures = []
     fingers: dict[FingerSettings, FingerPhotographs] = {}
-    for case in task.cases:
-        row = failed_row(task.capture, unusable)
+    for case in cases:
+        row = failed_row(taken, unusable)
         if capture is not None:
             file = store / "surfaces" / case.name / f"{name}{SUFFIX}" if surfaces else None
             row |= _reconstructed(capture, fingers, case, file)
         if row["failure"]:
             failures.append(f"{case.name}, {name}: {row['failure']}")
-        origin = provenance(case.document(), {name: row["input_sha256"]})
-        origin |= {"kind": "features", "kind_version": 1, "case": case.name}
-        origin |= {
+        origin = provenance(case.document(), {name: row["input_sha256"]}) | {
+            "kind": "features",
+            "kind_version": 1,
+            "case": case.name,
             "population_sha256": population_sha256,
             "matching_sha256": TEMPLATES["settings_sha256"],
         }
         write_table(store / "features" / case.name / f"{name}{SUFFIX}", [row], origin)
-    return Done(len(task.cases), failures=tuple(failures))
+    return Done(len(cases), failures=tuple(failures))
 
 
 def failed_row(capture: CaptureRef, failure: str) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from splitknit import BadInput, Capture, Reconstruction, read_capture
+from splitknit import BadInput, Capture, Reconstruction
 from splitknit.arguments import AnyPath, Natural, Preset, Ridges, checked
 from splitknit.errors import require
 from splitknit.findings import Finding, Severity, worst_first
@@ -239,7 +239,7 @@ class Gallery(GalleryFile):
             check_session(session)
         created = not self.there
         settings_sha256 = settings_of(
-            self, how, of_minutiae=any(is_of_minutiae(source) for source in sources)
+            self, of_minutiae=any(is_of_minutiae(source) for source in sources)
         )
         rows = []
         for number, source in enumerate(sources):
@@ -479,7 +479,7 @@ def _sessions(rows: Sequence[Made], earlier: Sequence[Entry], session: str | Non
     return chosen
 
 
-def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = False) -> str:
+def settings_of(gallery: GalleryFile, *, of_minutiae: bool = False) -> str:
     """Hash of the settings of templates to enrol, `of_minutiae` where a source is a record of them.
 
     A gallery of minutiae takes everything, for minutiae can be found in it. Raises BadInput if the
@@ -555,25 +555,6 @@ def made_of(
             f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae."
         )
     return Made(side.kind, payload, area_mm2, source_hash(path), failure, side.findings, compared)
-
-
-def made_or_failed(path: Path, how: Enrolling) -> Made | str:
-    """As :func:`made_of`, for many: a capture that is sound but shows no finger is a failure to
-    acquire.
-
-    Returns a sentence, and no row, where the files themselves are unusable.
-    """
-    try:
-        return replace(made_of(path, how), side=None)
-    except BadInput as error:
-        if not (path / "capture.json").is_file() or (path / "height.npz").is_file():
-            return str(error)
-        try:
-            read_capture(path)
-        except BadInput as unread:
-            return str(unread)
-        failure = str(error).removeprefix(f"{path}: ")
-        return Made("capture", b"", 0.0, source_hash(path), failure)
 
 
 def source_hash(path: Path | Held) -> str:

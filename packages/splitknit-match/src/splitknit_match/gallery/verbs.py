@@ -112,9 +112,7 @@ def identify(
     >>> answer = splitknit_match.identify("people.skg", "captures/unknown", top=3)  # doctest: +SKIP
     >>> answer.candidates  # doctest: +SKIP
     """
-    from splitknit_match.gallery.gallery import Gallery
-
-    return Gallery(gallery, key).identify(
+    return _opened(gallery, key).identify(
         probe,
         top=top,
         person=person,
@@ -209,7 +207,7 @@ def identify_in_gallery(
     return Report(identification.facts, tuple(identification_lines(identification, scores=True)))
 
 
-def _opened(gallery: AnyPath, key_file: AnyPath | None) -> Gallery:
+def _opened(gallery: AnyPath, key_file: GivenKey | None) -> Gallery:
     from splitknit_match.gallery.gallery import Gallery
 
     return Gallery(gallery, key_file)
@@ -488,7 +486,6 @@ def serve(
     >>> serve(gallery="people.skg", token_file="token")  # doctest: +SKIP
     """
     from splitknit_match.gallery.file import readable, readable_gallery
-    from splitknit_match.gallery.gallery import Gallery
     from splitknit_match.gallery.serve import make_app, read_token
 
     require(
@@ -499,7 +496,7 @@ def serve(
     require(host in LOCAL or certificate is not None, f"'{host}' is not this machine alone; {cure}")
     token = read_token(None if token_file is None else Path(token_file))
     scheme = "http" if certificate is None else "https"
-    with Gallery(gallery, key_file) as opened:
+    with _opened(gallery, key_file) as opened:
         if opened.there:
             opened.people()
         app = make_app(opened, token, None if audit is None else Path(audit))

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Annotated
 
 import cv2
@@ -80,13 +79,11 @@ def to_box(image: FloatArray, size: tuple[int, int]) -> FloatArray:
 
 
 NORMALS = ("normal_x", "normal_y", "normal_z")
-ATTRIBUTES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "normals": NORMALS,
-        "relief": ("relief",),
-        "shape_normals": tuple(f"shape_{name}" for name in NORMALS),
-    }
-)
+ATTRIBUTES = {
+    "normals": NORMALS,
+    "relief": ("relief",),
+    "shape_normals": tuple(f"shape_{name}" for name in NORMALS),
+}
 """What is matched, and the channels of each."""
 
 
