@@ -88,7 +88,17 @@ def main() -> None:
     print_table("Ridge templates", race(contenders, 4 * rounds))
 
     boxes = [
-        full_size(finger_images(s.normals, x[0], s.mask, camera.pitch_mm))
+        full_size(
+            finger_images(
+                s.normals,
+                s.normals,
+                x[0],
+                s.mask,
+                camera.pitch_mm,
+                input_from_upright=np.eye(3),
+                upright_size=s.mask.shape,
+            )
+        )
         for s, x in zip(seen, surfaces, strict=True)
     ]
     settings = ThesisSettings(gate=0.0)

@@ -29,7 +29,6 @@ from splitknit_match.matching.inputs import Side, undoubted, with_print
 from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.results import (
     ComparedSide,
-    FmrBasis,
     Match,
     MatchDecision,
     MatchOfImages,
@@ -344,16 +343,12 @@ KNOWN = ("auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae")
 def check_method(method: str) -> None:
     """Raise BadInput if it is neither known nor somebody's own matcher."""
     if method not in KNOWN:
-        own_matcher(method)
-
-
-def own_matcher(name: str) -> OwnMatcher:
-    """Somebody's own matcher. Raises BadInput if there is none of the name."""
-    return own_object("matcher", name, KNOWN)  # type: ignore[no-any-return]
+        own_object("matcher", method, KNOWN)
 
 
 def _by_own(method: str, a: Side, b: Side) -> Match:
-    similarity = float(own_matcher(method)(_print_of(a), _print_of(b)))
+    matcher: OwnMatcher = own_object("matcher", method, KNOWN)
+    similarity = float(matcher(_print_of(a), _print_of(b)))
     sides = compared_side(a), compared_side(b)
     compared = all(side.acquired for side in sides) and math.isfinite(similarity)
     return Match(method=method, a=sides[0], b=sides[1], similarity=similarity, compared=compared)
@@ -522,7 +517,7 @@ def rate(
             else f"measured on {SMALL_MM2:.0f} mm² of skin or more"
         )
         return _unknown(f"false match rates of the method {method} were {where}")
-    table = own or _fmr_table(scores)
+    table = own or fmr_table(scores)
     if overlap_mm2 is not None and overlap_mm2 < table.rated_mm2:
         return _unknown(
             f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {table.rated_mm2:.0f} mm² or"
@@ -557,22 +552,10 @@ def check_rate(fmr: Any) -> None:
     )
 
 
-def fmr_basis(method: str = "ridge") -> FmrBasis:
-    """Return what false match rates were measured on: impostor comparisons, and among which
-    fingers."""
-    return _fmr_table(method).basis
-
-
-def similarity_at(fmr: float, method: str = "ridge") -> float:
-    """Smallest similarity at which the rate of false matches is `fmr` or less, as
-    :meth:`FmrTable.threshold`."""
-    return _fmr_table(method).threshold(fmr)
-
-
 @cache
-def _fmr_table(method: str) -> FmrTable:
-    """False match rates of a method of :data:`TABLES`."""
-    file = Path(__file__).with_name(TABLES[method])
+def fmr_table(scores: str = "ridge") -> FmrTable:
+    """False match rates of a name of :data:`TABLES`."""
+    file = Path(__file__).with_name(TABLES[scores])
     document = json.loads(file.read_text(encoding="utf-8"))
     return FmrTable(
         np.array(document["similarity"]),
@@ -581,5 +564,5 @@ def _fmr_table(method: str) -> FmrTable:
         document["what"],
         document.get("rated_mm2", 0.0),
         document.get("excluded_mm2", 0.0),
-        method,
+        scores,
     )
