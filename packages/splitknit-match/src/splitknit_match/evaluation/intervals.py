@@ -221,7 +221,7 @@ def _clusters(scores: Scores, method: str) -> tuple[NDArray[np.int64], int]:
         f"{scores.name}: a bootstrap by {method} needs three of them at least, but there are"
         f" {used.size}.",
     )
-    return codes.reshape(ids.codes.shape), int(used.size)
+    return codes.reshape(ids.codes.shape), used.size
 
 
 def _percentiles(rows: Values) -> Values:

@@ -127,7 +127,7 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     weight = inside.astype(np.float32)
     narrow, window = _RIDGE_MM / band_mm, _WINDOW_MM / band_mm
     total = np.maximum(gaussian_mean(weight, narrow), 1e-3)
-    ridges: AnyArray = np.where(inside, value, 0.0).astype(np.float32)
+    ridges: AnyArray = np.where(inside, value, 0.0)
     for _ in range(2):  # twice: the first pass leaves something of a slope beside the edge
         ridges = (ridges - gaussian_mean(ridges, narrow) / total) * weight
     fraction = np.maximum(gaussian_mean(weight, window), 1e-3)
@@ -206,7 +206,7 @@ def band_places(
     )
     factor = mask.shape[1] / small[0]
     inside = weight > 0.5
-    height = np.where(inside, height / np.maximum(weight, 0.5), np.nan).astype(np.float32)
+    height = np.where(inside, height / np.maximum(weight, 0.5), np.nan)
     sigma = 0.6 / (pitch_mm * factor)
     fraction = inside.astype(np.float32)
     total = np.maximum(gaussian_mean(fraction, sigma), 1e-3)

@@ -191,7 +191,7 @@ def mirrored(template: Template) -> Template:
 def inverted(template: Template) -> Template:
     """The template of the same picture's negative: ridges and valleys change places, and minutiae
     stay where they are."""
-    return replace(template, level=np.where(template.valid, 3 - template.level, 0).astype(np.uint8))
+    return replace(template, level=np.where(template.valid, 3 - template.level, 0))
 
 
 def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> Template:

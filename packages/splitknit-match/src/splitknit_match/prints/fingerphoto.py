@@ -388,9 +388,7 @@ def _unrolled(inside: BoolArray, upright: Upright, step: float) -> PrintMap:
     across = (size[1] // 2 - np.arange(size[1])) * step / radius  # mirrored, as paper shows it
     at = np.sign(across) * np.interp(np.abs(across), arc, turn)
     places = np.stack(np.broadcast_arrays(centre + radius * np.sin(at), row + known[0]), axis=-1)
-    places = cv2.transform(places.astype(np.float32), upright.input_from_upright[:2]).astype(
-        np.float32
-    )
+    places = cv2.transform(places.astype(np.float32), upright.input_from_upright[:2])
     print_columns, print_rows = np.where(
         np.abs(at) < steepest, np.moveaxis(places, -1, 0), np.float32(NOWHERE)
     )

@@ -193,7 +193,7 @@ def _tile_waves(
     down, right = np.meshgrid(np.fft.fftfreq(_TILE_PX), np.fft.rfftfreq(_TILE_PX), indexing="ij")
     radius = np.hypot(down, right)
     mean = np.tensordot(tiles, taper, 2) / taper.sum()
-    power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)).astype(np.float32) ** 2
+    power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)) ** 2
     power *= radius >= 1.5 / _TILE_PX
     # each wave is there twice, but those of the first column, which are halved
     power[..., 1:] *= 2.0
@@ -213,10 +213,10 @@ def _tile_waves(
         (weight * down[:, None]).sum(axis=0), (weight * right[:, None]).sum(axis=0)
     )
     in_band = (radius[best] >= 1 / 11.5) & (radius[best] <= 1 / 4.9) & (frequency > 1 / 11.5)
-    purity = np.where(in_band, np.minimum(near.max(axis=0) / total, 1), 0).astype(np.float32)
+    purity = np.where(in_band, np.minimum(near.max(axis=0) / total, 1), 0)
     turn = (np.exp(2j * np.arctan2(down[best], right[best])) * purity).astype(np.complex64)
     period = (1.0 / np.maximum(frequency, 1e-3)).astype(np.float32)
-    return purity, period, turn, (np.sqrt(total) / (taper.sum() * 0.6)).astype(np.float32)
+    return purity, period, turn, np.sqrt(total) / (taper.sum() * 0.6)
 
 
 def prepared(item: PrintFile, ridges: str | None = None) -> PrintFile:

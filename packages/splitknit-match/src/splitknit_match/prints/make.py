@@ -114,7 +114,7 @@ def enhance(printed: Print) -> Enhanced:
 
 def measured(printed: Print, enhanced: Enhanced) -> PrintQuality:
     """How good a print is; `enhanced` is what :func:`enhance` made of it."""
-    values = (1000.0 * printed.values).astype(np.float32) if printed.in_mm else printed.values
+    values = 1000.0 * printed.values if printed.in_mm else printed.values
     return print_quality(
         values, printed.weight, enhanced.field, printed.map.ppi, in_um=printed.in_mm
     )

@@ -25,7 +25,7 @@ from splitknit_match.rolled.chart import Chart, Sight
 def ridges_of(relief: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
     """(n, m) relief less its local mean over `known`, zero elsewhere."""
     mean = smoothed(relief, known, 0.32 / pitch_mm)  # mm: the ridge band of this package
-    return np.where(known, relief - mean, 0.0).astype(np.float32)
+    return np.where(known, relief - mean, 0.0)
 
 
 def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
