@@ -12,7 +12,7 @@ from typing import Any
 from splitknit import BadInput, read_capture
 from splitknit.errors import Refused, require
 from splitknit.io.enrolment import FINGERS
-from splitknit.model import Progress, no_progress
+from splitknit.model import Progress
 from splitknit.workers import run_jobs
 from splitknit_match.gallery.file import (
     Entry,
@@ -51,9 +51,9 @@ def enroll_population(
     folder: Path,
     settings: Enrolling,
     *,
-    key: Key | None = None,
-    workers: int = 1,
-    progress: Progress = no_progress,
+    key: Key | None,
+    workers: int,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Enrol ``folder/S01/session_1/right_index`` (or ``right_index.png``) and so on, but for what
     is in the gallery; every finished capture is kept at once. A capture in which no finger is found

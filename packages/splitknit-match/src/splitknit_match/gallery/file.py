@@ -33,7 +33,7 @@ from splitknit.findings import Finding
 from splitknit.interrupts import UNFINISHED
 from splitknit.io.atomic import GROUP_READABLE, private_modes
 from splitknit.io.enrolment import FINGERS
-from splitknit.model import Progress, no_progress
+from splitknit.model import Progress
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 from splitknit_match.threads import one_blas_thread
 
@@ -318,7 +318,7 @@ class People:
         fingers = {(entry.person, entry.finger) for entry in acquired}
         return Chosen(entries, acquired, len(fingers), len(people))
 
-    def index(self, progress: Progress = no_progress) -> MinutiaIndex:
+    def index(self, progress: Progress) -> MinutiaIndex:
         """Index of the minutiae of all templates."""
         # a list of names needs none of it
         from splitknit_match.gallery.minutia_index import MinutiaIndex
@@ -430,7 +430,7 @@ class GalleryFile:
     def _entries(
         self,
         database: Any,
-        person: str | None = None,
+        person: str | None,
         finger: str | None = None,
         session: str | None = None,
     ) -> list[Entry]:

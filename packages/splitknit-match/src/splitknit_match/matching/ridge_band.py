@@ -159,14 +159,8 @@ def print_band(
     positive.
 
     `image`: (H, W) uint8, ridges dark, upright, as ink on paper; `inside`: (H, W) bool, where there
-    are ridges, by default wherever there is contrast; without any, nothing is valid. Raises
-    BadInput if it is not a grey image or the resolution is not positive.
+    are ridges, by default wherever there is contrast; without any, nothing is valid.
     """
-    require(
-        image.ndim == 2 and image.dtype == np.uint8 and image.size > 0,
-        f"a print must be (H, W) uint8, not {image.shape} {image.dtype}.",
-    )
-    require(np.isfinite(ppi) and ppi > 0, f"ppi must be a positive number, but it is {ppi}.")
     pitch = MM_PER_INCH / ppi
     ink = np.ascontiguousarray(255.0 - image[:, ::-1].astype(np.float32))
     detail = ink - gaussian_mean(ink, _RIDGE_MM / pitch)

@@ -185,9 +185,7 @@ def check_scales(database: float, query: float) -> None:
     )
 
 
-def finger_features(
-    images: FingerImages, settings: ThesisSettings = DEFAULTS
-) -> dict[str, FloatArray]:
+def finger_features(images: FingerImages, settings: ThesisSettings) -> dict[str, FloatArray]:
     """Feature vector of each channel that `settings` name, for a finger of the database that is
     compared often.
 

@@ -26,7 +26,7 @@ from splitknit.io.light_list import write_light_list
 from splitknit.io.prints import provenance_texts
 from splitknit.io.provenance import file_hash, json_text, provenance
 from splitknit.io.targets import check_target
-from splitknit.model import Progress, no_progress
+from splitknit.model import Progress
 from splitknit_match.prints.from_file import (
     coded_finger,
     finger_view,
@@ -83,10 +83,10 @@ def export_records(
     impression: str | None = None,
     compression: str = "none",
     owner: int = VENDOR_UNKNOWN,
-    resolution_ppi: float | None = None,
-    ridges: str | None = None,
+    resolution_ppi: float | None,
+    ridges: str | None,
     preset: str = "metric",
-    progress: Progress = no_progress,
+    progress: Progress,
 ) -> Facts:
     """Write fingers in a format of other systems, one file each, all or none; return the facts of
     ``export.json``.
@@ -143,9 +143,9 @@ def export_surfaces(
     out: Path,
     to: str,
     *,
-    preset: str = "metric",
-    base_mm: float | None = None,
-    progress: Progress = no_progress,
+    preset: str,
+    base_mm: float | None,
+    progress: Progress,
 ) -> Facts:
     """Write the surfaces of captures and results, or the lights of captures (`to` lp); as
     :func:`export_records`."""

@@ -101,7 +101,7 @@ class FingerPhoto:
 
 def read_fingerphoto(
     path: str | os.PathLike[str],
-    px_per_mm: float | None = None,
+    px_per_mm: float | None,
     where: PhotoFinger | None = None,
     photo: Photo | None = None,
 ) -> FingerPhoto:

@@ -18,7 +18,7 @@ from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
-from splitknit.model import GreyArray, Progress, no_progress
+from splitknit.model import GreyArray, Progress
 from splitknit_match.prints.fingerphoto import FingerPhoto
 from splitknit_match.prints.from_file import (
     contact_print,
@@ -46,8 +46,8 @@ def write_print(
     printed: Print,
     *,
     method: str,
-    around: Rolled | None = None,
-    progress: Progress = no_progress,
+    around: Rolled | None,
+    progress: Progress,
 ) -> Facts:
     """Enhance a print and write all its files; return the facts of ``report.json``.
 
@@ -128,7 +128,7 @@ def write_print(
 
 
 def print_of_file(
-    path: Path, resolution_ppi: float | None, ridges: str | None = None
+    path: Path, resolution_ppi: float | None, ridges: str | None
 ) -> tuple[Source, Print]:
     """The only print of a file. Raises BadInput, naming it, if it holds minutiae or has no
     ridges."""

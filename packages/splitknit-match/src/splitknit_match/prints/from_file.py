@@ -404,9 +404,7 @@ def ridge_period_px(image: GreyArray) -> float | None:
     return period
 
 
-def finger_view(
-    minutiae: Minutiae, quality: float, finger: object = "unknown", impression: str = "unknown"
-) -> FingerView:
+def finger_view(minutiae: Minutiae, quality: float, finger: object, impression: str) -> FingerView:
     """Minutiae of 500 ppi as a record has them; a finger that records have no code for is
     ``unknown``."""
     return FingerView(

@@ -167,8 +167,8 @@ def decode_print(
     compression: str,
     name: str,
     *,
-    size: tuple[int, int] | None = None,
-    limit: int = MAX_PIXELS,
+    size: tuple[int, int] | None,
+    limit: int,
 ) -> GreyArray:
     """Decode a print as records hold it: ``none``, ``wsq``, ``jp2`` or a picture file, of at most
     `limit` pixels.
