@@ -4,7 +4,6 @@ is: :class:`splitknit_match.Candidates`."""
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Self
@@ -76,8 +75,10 @@ class Candidates:
             mixed = f"'{name}' is of {'minutiae' if of_minutiae else 'ridges'}, others are not"
             require(not payload or settings in ("", own), f"{mixed}; search them apart.")
             settings = settings or (own if payload else "")
-            entry = Entry(name, "finger", "1", "template", "", area_mm2, row=row)
-            entries.append(replace(entry, template_bytes=len(payload)))
+            size = len(payload)
+            entries.append(
+                Entry(name, "finger", "1", "template", "", area_mm2, template_bytes=size, row=row)
+            )
             payloads[row] = payload
         self._people = People(_NAME, settings, entries, payloads, kept.minutiae)
         self._rows += len(templates)

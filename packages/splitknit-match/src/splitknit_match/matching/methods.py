@@ -62,6 +62,8 @@ TABLES = {
 """False match rates, made by validation/match/unseen.py of real prints, windows.py of parts of
 them, records.py of real records, and impostors.py, telephone.py and surfaces.py of simulated
 fingers; where real impostors of such kinds state larger rates, these."""
+Common = dict[str, Any]
+"""What every method says of a comparison: method and sides."""
 OwnMatcher = Callable[[NDArray[np.uint8], NDArray[np.uint8]], float]
 """From two prints (H, W) at 500 ppi, ridges dark, to a similarity; NaN: not compared."""
 
@@ -159,15 +161,16 @@ def compare_sides(
         return light if light.answer == "match" else dark
     kinds = [side.template.kind for side in (a, b) if side.template is not None]
     scores = impostors_of(method, *kinds)
+    common = {"method": method, "a": compared_side(a), "b": compared_side(b)}
     match: Match
     if method in ("ridge", "fusion"):
-        match, scores = _by_templates(method, a, b)
+        match, scores = _by_templates(method, a, b, common)
     elif method == "minutiae":
-        match, scores = _by_minutiae(a, b)
+        match, scores = _by_minutiae(a, b, common)
     elif method in ("thesis", "thesis-code"):
-        match = _by_images(method, thesis, a, b)
+        match = _by_images(method, thesis, a, b, common)
     else:
-        match = _by_own(method, a, b)
+        match = _by_own(method, a, b, common)
     doubts = [side.doubt for side in (a, b) if side.doubt is not None]
     match = _rated(match, scores, fmr, own, doubts)
     findings = [*a.findings, *b.findings, *match.findings]
@@ -229,7 +232,7 @@ def write_template_file(template: Path | None, side: Side) -> TemplateFile | Non
     return TemplateFile(str(template), template.stat().st_size)
 
 
-def _by_templates(method: str, a: Side, b: Side) -> tuple[MatchOfRidges, str]:
+def _by_templates(method: str, a: Side, b: Side, common: Common) -> tuple[MatchOfRidges, str]:
     """Compare by ridges alone, or two prints by ridges and minutiae; and the impostors that rate
     it.
 
@@ -241,10 +244,8 @@ def _by_templates(method: str, a: Side, b: Side) -> tuple[MatchOfRidges, str]:
     )
     pair = compare_templates(method, left, right)
     ridge = pair.ridge
-    common: dict[str, Any] = {
-        "method": method,
-        "a": compared_side(a),
-        "b": compared_side(b),
+    common = {
+        **common,
         "similarity": pair.similarity,
         "compared": pair.compared,
         "overlap_mm2": ridge.overlap_mm2,
@@ -288,26 +289,21 @@ def _comparable(method: str, side: Side) -> Template:
     return template
 
 
-def _by_minutiae(a: Side, b: Side) -> tuple[Match, str]:
+def _by_minutiae(a: Side, b: Side, common: Common) -> tuple[Match, str]:
     """Compare by minutiae; and the impostors that rate it. Raises BadInput if a side is a template
     of ridges."""
     minutiae = side_minutiae(a), side_minutiae(b)
-    sides = [
-        replace(compared_side(side), minutiae=own.count, acquired=own.acquired)
-        for side, own in zip((a, b), minutiae, strict=True)
-    ]
+    sides = {
+        name: replace(common[name], minutiae=own.count, acquired=own.acquired)
+        for name, own in zip("ab", minutiae, strict=True)
+    }
     pair = compare_minutiae(*minutiae)
-    match = Match(
-        method="minutiae",
-        a=sides[0],
-        b=sides[1],
-        similarity=pair.similarity,
-        compared=pair.compared,
-    )
-    return match, pair.scores
+    return Match(**common | sides, similarity=pair.similarity, compared=pair.compared), pair.scores
 
 
-def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> MatchOfImages:
+def _by_images(
+    method: str, settings: ThesisSettings, a: Side, b: Side, common: Common
+) -> MatchOfImages:
     from splitknit_match.matching.thesis import thesis_match  # a template needs none of these
     from splitknit_match.matching.thesis_code import code_match, code_side
 
@@ -325,9 +321,7 @@ def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> Match
         else code_match(*map(code_side, images))
     )
     return MatchOfImages(
-        method=method,
-        a=compared_side(a),
-        b=compared_side(b),
+        **common,
         similarity=match.similarity,
         compared=match.compared,
         overlap=match.ratio,
@@ -346,12 +340,12 @@ def check_method(method: str) -> None:
         own_object("matcher", method, KNOWN)
 
 
-def _by_own(method: str, a: Side, b: Side) -> Match:
+def _by_own(method: str, a: Side, b: Side, common: Common) -> Match:
     matcher: OwnMatcher = own_object("matcher", method, KNOWN)
     similarity = float(matcher(_print_of(a), _print_of(b)))
-    sides = compared_side(a), compared_side(b)
-    compared = all(side.acquired for side in sides) and math.isfinite(similarity)
-    return Match(method=method, a=sides[0], b=sides[1], similarity=similarity, compared=compared)
+    acquired = common["a"].acquired and common["b"].acquired
+    compared = acquired and math.isfinite(similarity)
+    return Match(**common, similarity=similarity, compared=compared)
 
 
 def _template(side: Side) -> Template:
