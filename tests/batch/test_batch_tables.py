@@ -7,7 +7,7 @@ import pytest
 from batch_stores import rows_of
 from refusals import bad_input
 from splitknit.io.npz import write_npz
-from splitknit_match.batch.scores import write_scores
+from splitknit_match.batch.engine import write_scores
 from splitknit_match.batch.store import Store, read_origin, read_table, write_table
 
 NAMES = ("S01/session_1/right_index", "S01/session_2/right_index", "S02/session_1/right_index")
