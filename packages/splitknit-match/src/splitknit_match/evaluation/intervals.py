@@ -85,7 +85,9 @@ class Intervals:
     curve_high: Values
 
 
-def bootstrap(scores: Scores, method: str, settings: BootstrapSettings) -> Intervals:
+def bootstrap(
+    scores: Scores, method: str = "plain", settings: BootstrapSettings = DEFAULTS
+) -> Intervals:
     """All figures of `scores` with percentile intervals of 95 %. Raises BadInput if `method` lacks
     its ids."""
     falling = scores.taken(np.argsort(-scores.score, kind="stable"))
