@@ -32,8 +32,8 @@ from splitknit_match.matching.thesis import (
     thesis_match,
 )
 from splitknit_match.prints.minutiae import extract, nfiq2
-from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.pressed import pressed_ridges
+from splitknit_match.records.minutiae_record import pack_minutiae
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.surface import SimulatedSurface
 from timing import machine, print_table, race
@@ -88,7 +88,17 @@ def main() -> None:
     print_table("Ridge templates", race(contenders, 4 * rounds))
 
     boxes = [
-        full_size(finger_images(s.normals, x[0], s.mask, camera.pitch_mm))
+        full_size(
+            finger_images(
+                s.normals,
+                s.normals,
+                x[0],
+                s.mask,
+                camera.pitch_mm,
+                input_from_upright=np.eye(3),
+                upright_size=s.mask.shape,
+            )
+        )
         for s, x in zip(seen, surfaces, strict=True)
     ]
     settings = ThesisSettings(gate=0.0)

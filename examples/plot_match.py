@@ -25,7 +25,7 @@ from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import surface_template
 from splitknit_match.prints.minutiae import extract
-from splitknit_match.prints.minutiae_record import Minutiae
+from splitknit_match.records.minutiae_record import Minutiae
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 

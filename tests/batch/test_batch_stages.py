@@ -17,8 +17,7 @@ from splitknit.io.images import read_image, write_image
 from splitknit.pipeline import reconstruct
 from splitknit.reconstruction import surface_of
 from splitknit_match.batch.cases import Case
-from splitknit_match.batch.store import Store
-from splitknit_match.batch.tables import read_origin
+from splitknit_match.batch.store import Store, read_origin
 from splitknit_match.evaluation.scores import read_scores
 from splitknit_match.matching.ridge import ridge_match
 from splitknit_match.matching.surface import surface_images, surface_template

@@ -7,9 +7,8 @@ import pytest
 from batch_stores import rows_of
 from refusals import bad_input
 from splitknit.io.npz import write_npz
-from splitknit_match.batch.scores import write_scores
-from splitknit_match.batch.store import Store
-from splitknit_match.batch.tables import read_origin, read_table, write_table
+from splitknit_match.batch.engine import write_scores
+from splitknit_match.batch.store import Store, read_origin, read_table, write_table
 
 NAMES = ("S01/session_1/right_index", "S01/session_2/right_index", "S02/session_1/right_index")
 COLUMNS = ("a", "b", "genuine", "similarity", "compared", "shift_mm")
@@ -98,7 +97,7 @@ def test_damage_is_refused_in_a_sentence(table):
 
 def test_sizes_are_checked_before_a_table_is_read(table, monkeypatch):
     write_table(table, [row | {"a": "x" * 1_000_000} for row in ROWS], {})
-    monkeypatch.setattr("splitknit_match.batch.tables.MAX_BYTES", 500_000)
+    monkeypatch.setattr("splitknit_match.batch.store.MAX_BYTES", 500_000)
     assert table.stat().st_size < 100_000
     with bad_input("damaged"):
         read_table(table)

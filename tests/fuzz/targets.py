@@ -58,9 +58,14 @@ from splitknit.settings import override
 from splitknit_match.batch.cases import Case
 from splitknit_match.batch.features import failed_row
 from splitknit_match.batch.population import read_population
-from splitknit_match.batch.store import Store, open_store
-from splitknit_match.batch.surfaces import read_surface, write_surface
-from splitknit_match.batch.tables import read_origin, write_table
+from splitknit_match.batch.store import (
+    Store,
+    open_store,
+    read_origin,
+    read_surface,
+    write_surface,
+    write_table,
+)
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.evaluation.scores import read_scores
 from splitknit_match.gallery.candidates import Candidates
@@ -83,11 +88,11 @@ from splitknit_match.prints.from_file import (
     read_print_folder,
     ridge_period_px,
 )
-from splitknit_match.prints.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit_match.prints.sources import read_source
 from splitknit_match.records.finger_image import encode_finger_image
 from splitknit_match.records.iso39794 import encode_finger_image_block
 from splitknit_match.records.minutiae_files import decode_minutiae_record, read_minutiae_record
+from splitknit_match.records.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit_match.records.pictures import PrintFile, encode_print_tiff, read_print_png
 from splitknit_match.records.print_formats import read_prints
 from splitknit_match.records.templates import encode_template, read_template

@@ -33,11 +33,11 @@ from splitknit_match.gallery.identify import TEMPLATES_HASH
 from splitknit_match.gallery.minutia_index import MinutiaIndex
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
-from splitknit_match.matching.methods import similarity_at
+from splitknit_match.matching.methods import fmr_table
 from splitknit_match.matching.minutia_pairs import pair_minutiae
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, pack, print_size, unpack
-from splitknit_match.prints.minutiae_record import Minutiae
+from splitknit_match.records.minutiae_record import Minutiae
 from splitknit_match.records.pictures import read_print_png
 
 HERE = Path(__file__).resolve().parent
@@ -61,7 +61,7 @@ def main() -> None:
     payloads = templates(parser.parse_args().cache)
     prints = {name: unpack(payload) for name, payload in payloads.items()}
     ready = {name: Prepared(template) for name, template in prints.items()}
-    limit = similarity_at(1e-4, "fusion")
+    limit = fmr_table("fusion").threshold(1e-4)
     ranks: list[tuple[str, int]] = []
     support: dict[bool, list[float]] = {True: [], False: []}
     for fold in (0, 1):

@@ -10,7 +10,7 @@ import struct
 import numpy as np
 
 from splitknit_match.prints.minutiae import extractor
-from splitknit_match.prints.minutiae_record import BIFURCATION, Minutiae
+from splitknit_match.records.minutiae_record import BIFURCATION, Minutiae
 
 MOST = 200
 """bozorth3 compares no more minutiae (its MAX_BOZORTH_MINUTIAE)."""

@@ -34,11 +34,11 @@ from impostors import ship, table_of
 
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.scores import Scores, ids_of
-from splitknit_match.matching.methods import similarity_at
+from splitknit_match.matching.methods import fmr_table
 from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.prints.from_file import minutiae_of
-from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.records.minutiae_files import read_minutiae_record
+from splitknit_match.records.minutiae_record import Minutiae
 from splitknit_match.threads import one_blas_thread
 
 OUT = Path(__file__).with_name("records.json")
@@ -137,7 +137,7 @@ def main() -> None:
     others = impostors(LEFT_OUT)
     left_out = np.concatenate([genuine[name] for name in LEFT_OUT])
     for fmr in (1e-2, 1e-3, 1e-4):
-        threshold = similarity_at(fmr, "minutiae_of_prints")
+        threshold = fmr_table("minutiae_of_prints").threshold(fmr)
         facts[f"left_out_at_{fmr:g}"] = {
             "threshold": round(threshold, 3),
             "impostors": len(others),

@@ -29,8 +29,7 @@ from splitknit_match.matching.inputs import print_of_surface, print_template
 from splitknit_match.matching.methods import (
     Compared,
     compare_templates,
-    fmr_basis,
-    similarity_at,
+    fmr_table,
 )
 from splitknit_match.matching.ridge import Prepared
 from splitknit_simulator.finger.finger import draw_finger
@@ -65,7 +64,7 @@ def rows_of(name: str, impostors: list[Compared], genuine: list[Compared]) -> li
         len(scores),
         round(float(np.median(scores)), 2),
         round(float(scores.max()), 2),
-        round(similarity_at(fmr_basis(name).smallest, name), 2),
+        round(fmr_table(name).threshold(fmr_table(name).smallest), 2),
         len(genuine),
         answers.count("match"),
         answers.count("undecided"),

@@ -36,7 +36,7 @@ from impostors import ship
 from numpy.typing import NDArray
 
 from splitknit_match.matching.fusion import fused_match
-from splitknit_match.matching.methods import similarity_at
+from splitknit_match.matching.methods import fmr_table
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import inverted, mirrored
 
@@ -299,7 +299,7 @@ def report(pairs: Pairs) -> dict[str, Any]:
         ]
         kinds = {
             "unseen": unseen[0],
-            "shipped": dict.fromkeys(numbers, similarity_at(rate, "fusion")),
+            "shipped": dict.fromkeys(numbers, fmr_table("fusion").threshold(rate)),
         }
         row = facts["at"][f"{rate:g}"] = {}
         for kind, threshold in kinds.items():

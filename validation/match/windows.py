@@ -34,7 +34,7 @@ from unseen import Pairs, table, thresholds
 from splitknit_match.evaluation.rates import roc
 from splitknit_match.matching import fusion
 from splitknit_match.matching.fusion import SMALL_MM2, fused_match
-from splitknit_match.matching.methods import TABLES, fmr_basis
+from splitknit_match.matching.methods import TABLES, fmr_table
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template
 
@@ -455,7 +455,7 @@ def of_sensor(rows: NDArray[np.float64], every: Pairs) -> dict[str, Any]:
     six other sets: of comparisons, and of probes against all touches of a finger."""
     finger, other, _, score, overlap = rows.T
     same = finger == other
-    stated = fmr_basis("windows").smallest
+    stated = fmr_table("windows").smallest
     threshold = np.zeros(len(rows))
     for number in range(len(SETS)):
         ends = thresholds(every.taken(~every.of_set(number)), (stated,))[1]

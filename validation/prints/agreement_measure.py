@@ -19,8 +19,8 @@ from splitknit.observation.observe import observe
 from splitknit_match.batch.store import Store
 from splitknit_match.prints.make import Print, enhance, make_print
 from splitknit_match.prints.minutiae import extract
-from splitknit_match.prints.minutiae_record import Minutiae, pack_minutiae
 from splitknit_match.prints.sources import Source
+from splitknit_match.records.minutiae_record import Minutiae, pack_minutiae
 
 PX_PER_MM = 500.0 / 25.4
 METHODS = {"metric": ("relief", "unroll", "curvature", "photo")}

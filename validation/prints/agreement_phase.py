@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit_match.prints.enhance import Enhanced
-from splitknit_match.prints.minutiae_record import Minutiae
+from splitknit_match.records.minutiae_record import Minutiae
 from splitknit_simulator.finger.ridges import phase_singularities
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.scores import Scores, ids_of
 from splitknit_match.prints.minutiae import EDGE_MM
-from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
+from splitknit_match.records.minutiae_record import Minutiae, unpack_minutiae
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "match"))
 from bozorth3 import bozorth3

@@ -28,8 +28,8 @@ from splitknit.finger.ridges import surface_print
 from splitknit.imaging.geometry import height_gradients, sampled_at, smoothed
 from splitknit.reconstruction import Surface
 from splitknit_match.prints.minutiae import extract
-from splitknit_match.prints.minutiae_record import MIN_MINUTIAE
 from splitknit_match.prints.print_map import plane_map
+from splitknit_match.records.minutiae_record import MIN_MINUTIAE
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -26,8 +26,7 @@ import numpy as np
 from report import read
 from splitknit.io.capture import read_capture
 from splitknit.io.provenance import json_text
-from splitknit_match.batch.store import Store
-from splitknit_match.batch.tables import write_table
+from splitknit_match.batch.store import Store, write_table
 from splitknit_simulator.accuracy import read_truth
 from tables import Row, write_csv
 

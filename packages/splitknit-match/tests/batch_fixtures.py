@@ -11,8 +11,7 @@ from batch_stores import CASES, run, waves
 from splitknit.io.enrolment import open_enrolment
 from splitknit_match.batch.features import failed_row
 from splitknit_match.batch.population import read_population
-from splitknit_match.batch.store import open_store
-from splitknit_match.batch.tables import write_table
+from splitknit_match.batch.store import open_store, write_table
 
 
 @pytest.fixture(scope="session")

@@ -9,8 +9,7 @@ import numpy as np
 
 from splitknit_match.batch.cases import preset_cases
 from splitknit_match.batch.engine import run_batch
-from splitknit_match.batch.store import Store
-from splitknit_match.batch.tables import SUFFIX
+from splitknit_match.batch.store import SUFFIX, Store
 from splitknit_match.matching.ridge_band import ridge_band
 from splitknit_match.matching.template import make_template, pack
 

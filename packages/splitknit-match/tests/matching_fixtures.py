@@ -40,7 +40,15 @@ class Impression:
         return make_template(self.band())
 
     def images(self) -> FingerImages:
-        return finger_images(self.normals, self.ridge_mm, self.mask, self.pitch_mm)
+        return finger_images(
+            self.normals,
+            self.normals,
+            self.ridge_mm,
+            self.mask,
+            self.pitch_mm,
+            input_from_upright=np.eye(3),
+            upright_size=self.mask.shape,
+        )
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ from refusals import bad_input
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.reconstruction import Surface
-from splitknit_match.batch.surfaces import read_surface, write_surface
+from splitknit_match.batch.store import read_surface, write_surface
 
 
 def surface():

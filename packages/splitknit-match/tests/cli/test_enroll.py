@@ -154,7 +154,7 @@ def test_a_population_goes_on_where_it_was_stopped(people_folder, tmp_path, caps
     from splitknit_match.batch import enrol as enrolling_population
 
     file, calls = tmp_path / "g.skg", []
-    original = enrolling_population.made_or_failed
+    original = enrolling_population.made_of
 
     def stopped(path, *options):
         calls.append(path)
@@ -162,7 +162,7 @@ def test_a_population_goes_on_where_it_was_stopped(people_folder, tmp_path, caps
             raise KeyboardInterrupt
         return original(path, *options)
 
-    monkeypatch.setattr(enrolling_population, "made_or_failed", stopped)
+    monkeypatch.setattr(enrolling_population, "made_of", stopped)
     assert main(f"enroll {file} --population {people_folder}".split()) == 130
     capsys.readouterr()
     assert len(who(capsys, file)) == 3
@@ -205,13 +205,15 @@ def test_failures_and_damage_in_a_population(people_folder, tmp_path, capsys):
 
 
 def test_a_capture_without_a_finger_is_a_failure_not_an_error(twin_folder, monkeypatch):
+    from splitknit_match.batch import enrol
     from splitknit_match.gallery import gallery
 
     def refuses(path, *rest, **more):
         raise BadInput(f"{path}: no finger is seen.")
 
     monkeypatch.setattr(gallery, "read_side", refuses)
-    capture = gallery.made_or_failed(twin_folder, gallery.Enrolling(preset="ea"))
+    source = enrol._Source("Ann", "right_index", "1", twin_folder)
+    capture = enrol._template_of(source, gallery.Enrolling(preset="ea"))
     assert capture.template == b""
     assert capture.failure == "no finger is seen."
     assert capture.source_sha256 == gallery.source_hash(twin_folder)

@@ -7,7 +7,7 @@ import pytest
 
 from enrolled import facts_of, refusal_of, words_of
 from splitknit.cli.main import main
-from splitknit_match.matching.methods import rate, similarity_at
+from splitknit_match.matching.methods import fmr_table, rate
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_the_right_one_is_first(gallery, probe, capsys):
     assert facts["mode"] == "identification"
     decision = facts["decision"]
     assert decision["match"]
-    assert decision["threshold"] == similarity_at(1e-4)
+    assert decision["threshold"] == fmr_table().threshold(1e-4)
     assert decision["expected_false_matches"] == pytest.approx(4e-4)
     # similarities are those of `splitknit match`
     match = facts_of(capsys, f"match {probe} {probe.parents[1]}/session_1/right_index")

@@ -8,7 +8,7 @@ from splitknit.errors import BadInput
 from splitknit.io.prints import write_print_png
 from splitknit_match.evaluation.gallery_scores import gallery_scores
 from splitknit_match.matching.methods import rate
-from splitknit_match.prints.minutiae_record import no_minutiae
+from splitknit_match.records.minutiae_record import no_minutiae
 from splitknit_match.records.pictures import read_print_png
 
 

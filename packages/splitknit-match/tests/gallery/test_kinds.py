@@ -23,7 +23,7 @@ from splitknit_match.matching.inputs import held, print_of_surface, print_templa
 from splitknit_match.matching.match import make_template
 from splitknit_match.matching.methods import TABLES, impostors_of
 from splitknit_match.matching.template import VERSION, mirrored, pack, unpack
-from splitknit_match.prints.minutiae_record import pack_minutiae
+from splitknit_match.records.minutiae_record import pack_minutiae
 from splitknit_match.records.templates import encode_template, write_template
 from splitknit_simulator.finger.finger import draw_finger, finger_surface
 from splitknit_simulator.finger.master_print import ink_print

@@ -16,7 +16,7 @@ from splitknit_match.matching.inputs import held
 from splitknit_match.matching.minutia_pairs import pair_minutiae
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, pack, print_size, unpack
-from splitknit_match.prints.minutiae_record import Minutiae
+from splitknit_match.records.minutiae_record import Minutiae
 
 from test_open_gallery import PPI, press  # isort: skip
 

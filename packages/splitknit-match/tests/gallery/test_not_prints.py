@@ -12,8 +12,8 @@ from splitknit.finger.ridges import surface_print
 from splitknit.io.prints import write_print_png
 from splitknit_match.matching import inputs
 from splitknit_match.matching.inputs import print_template
-from splitknit_match.prints.minutiae_record import PPI
 from splitknit_match.prints.pressed import pressed_ridges
+from splitknit_match.records.minutiae_record import PPI
 from splitknit_simulator import simulate_capture
 from splitknit_simulator.twin import twin_settings
 

@@ -9,8 +9,8 @@ import pytest
 from fmr_samples import transaction, type_14
 from refusals import bad_input
 from splitknit.io.prints import encode_print_png
+from splitknit_match.records.finger_image import encode_jpeg2000
 from splitknit_match.records.itl import decode_transaction
-from splitknit_match.records.jpeg2000_image import encode_jpeg2000
 from splitknit_match.records.minutiae_record import FINGER_CODES
 from splitknit_match.records.wsq_image import encode_wsq
 

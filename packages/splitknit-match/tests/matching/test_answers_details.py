@@ -37,7 +37,7 @@ from splitknit_match.matching.score import (
     read_own_rates,
 )
 from splitknit_match.matching.template import failed_template
-from splitknit_match.prints.minutiae_record import no_minutiae
+from splitknit_match.records.minutiae_record import no_minutiae
 
 LEFT = ComparedSide("a.png", "print", 120.0, True)
 RIGHT = ComparedSide("b.png", "print", 110.0, True)
@@ -282,13 +282,13 @@ def test_each_comparison_has_its_table(method, areas_mm2, minutiae, table):
 
 @pytest.mark.parametrize("method", methods.TABLES)
 def test_shipped_rates_fall_as_similarities_rise(method):
-    table = methods._fmr_table(method)
+    table = methods.fmr_table(method)
     assert (np.diff(table.fmr) <= 0).all()
     assert (np.diff(table.similarity) >= 0).all()
     assert table.fmr.max() <= 1
     assert table.smallest * (table.impostors + 1) >= 0.99
-    assert methods.fmr_basis(method) == table.basis
-    assert methods.similarity_at(0.01, method) == table.threshold(0.01)
+    assert methods.fmr_table(method).basis == table.basis
+    assert methods.fmr_table(method).threshold(0.01) == table.threshold(0.01)
     shipped = json.loads(
         (Path(methods.__file__).parent / methods.TABLES[method]).read_text("utf-8")
     )
@@ -298,7 +298,7 @@ def test_shipped_rates_fall_as_similarities_rise(method):
 
 @pytest.mark.parametrize("method", ["contactless alone", "contactless and prints"])
 def test_rates_of_surfaces_are_those_of_real_prints_at_least(method):
-    table, real = (methods._fmr_table(name) for name in (method, "fusion"))
+    table, real = (methods.fmr_table(name) for name in (method, "fusion"))
     assert all(table(each) >= real(each) for each in np.linspace(-8, 5, 200))
     assert table.population.startswith("of them")
 

@@ -22,7 +22,7 @@ from splitknit_match.matching.ridge import RidgeMatch
 from splitknit_match.matching.score import own_rates_document
 from splitknit_match.matching.template import Template, failed_template, pack
 from splitknit_match.matching.thesis import FingerImages, ImageMatch, ThesisSettings
-from splitknit_match.prints.minutiae_record import KINDS, Minutiae, no_minutiae, pack_minutiae
+from splitknit_match.records.minutiae_record import KINDS, Minutiae, no_minutiae, pack_minutiae
 
 RIDGES = RidgeMatch(0.5, 0.6, 150.0, 3.0, 1.0, -2.0, compared=True)
 FUSED = _FusedMatch(7.0, 12.0, RIDGES, (0.5, 0.6, 12.0, math.nan))

@@ -12,7 +12,7 @@ from splitknit_match.matching.elastic import Agreement, patch_grid
 from splitknit_match.matching.fusion import at_one_scale, fused_match, fused_score
 from splitknit_match.matching.ridge import Prepared, ridge_match, scored
 from splitknit_match.matching.template import Template, leveled, print_size, scaled
-from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
+from splitknit_match.records.minutiae_record import Minutiae, no_minutiae
 
 
 def print_of(seed, rows=150, columns=130, minutiae=20):

@@ -17,7 +17,7 @@ from splitknit_match.matching.minutia_pairs import (
     pair_minutiae,
 )
 from splitknit_match.matching.ridge_band import RidgeBand
-from splitknit_match.prints.minutiae_record import PPI, Minutiae
+from splitknit_match.records.minutiae_record import PPI, Minutiae
 
 PITCH_MM = 0.1
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from refusals import bad_input
 from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, nfiq2
-from splitknit_match.prints.minutiae_record import (
+from splitknit_match.records.minutiae_record import (
     Minutiae,
     no_minutiae,
     pack_minutiae,

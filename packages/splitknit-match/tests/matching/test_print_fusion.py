@@ -22,7 +22,7 @@ from splitknit_match.matching.fusion import (
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.matching.template import Template, pack, print_size, scaled, unpack
-from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
+from splitknit_match.records.minutiae_record import Minutiae, no_minutiae
 
 
 @pytest.mark.parametrize(

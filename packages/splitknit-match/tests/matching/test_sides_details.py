@@ -15,8 +15,7 @@ from splitknit_match.matching import inputs
 from splitknit_match.matching.inputs import Pixels, print_template, read_side
 from splitknit_match.matching.template import failed_template
 from splitknit_match.prints import fingerphoto, from_file, make, pressed
-from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
-from splitknit_match.records.minutiae_record import FingerView
+from splitknit_match.records.minutiae_record import FingerView, Minutiae, no_minutiae
 from splitknit_match.records.pictures import PrintFile
 
 PPI = 500.0

@@ -13,10 +13,10 @@ from splitknit.io.prints import write_print_png
 from splitknit_match import match
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
-from splitknit_match.matching.methods import fmr_basis, rate, scores_of, similarity_at
+from splitknit_match.matching.methods import fmr_table, rate, scores_of
 from splitknit_match.matching.score import read_own_rates
 from splitknit_match.matching.template import VERSION, leveled, pack, print_size, unpack
-from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae, pack_minutiae
+from splitknit_match.records.minutiae_record import Minutiae, no_minutiae, pack_minutiae
 from splitknit_match.records.pictures import read_print_png
 from splitknit_match.records.templates import write_template
 
@@ -78,8 +78,8 @@ def test_fingerphotos_are_rated_alone_and_with_prints():
 
 
 def test_too_little_overlap_or_too_rare_a_rate_is_undecided():
-    smallest = fmr_basis("windows").smallest
-    high = similarity_at(smallest, "windows") + 1
+    smallest = fmr_table("windows").smallest
+    high = fmr_table("windows").threshold(smallest) + 1
     assert rate(high, "windows", 30.0).answer == "match"
     assert rate(-3.0, "windows", 70.0).answer == "no match"
     tiny, small = rate(high, "windows", 3.0), rate(-3.0, "windows", 20.0)

@@ -27,7 +27,7 @@ from splitknit_match.matching.template import (
     unpack,
     with_minutiae,
 )
-from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
+from splitknit_match.records.minutiae_record import Minutiae, no_minutiae
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from refusals import bad_input
-from splitknit_match.matching.thesis import ThesisSettings, finger_images, thesis_match
+from splitknit_match.matching.thesis import ThesisSettings, thesis_match
 
 NO_GATE = ThesisSettings(gate=0.0)
 
@@ -15,8 +15,9 @@ NO_GATE = ThesisSettings(gate=0.0)
 def test_a_finger_is_most_similar_to_itself_moved(impressions, index):
     """By two pixels: this matcher needs poses that differ little."""
     impression = impressions[index]
-    fields = impression.normals, impression.ridge_mm, impression.mask
-    moved = finger_images(*(np.roll(field, 2, axis=1) for field in fields), impression.pitch_mm)
+    fields = ("normals", "ridge_mm", "mask")
+    rolled = {name: np.roll(getattr(impression, name), 2, axis=1) for name in fields}
+    moved = replace(impression, **rolled).images()
     similarities = {
         k: thesis_match(impressions[k].images(), moved, NO_GATE).similarity for k in (0, 3, 6)
     }

@@ -108,7 +108,8 @@ def test_fingers_are_cut_upright():
     y, x = np.mgrid[:side, :side].astype(np.float32)
     mask = np.hypot(x - 50, y - 50) < 40
     normals = np.dstack([np.full_like(x, 0.3), np.full_like(x, 0.2), np.full_like(x, 0.9)])
-    images = finger_images(normals, x, mask, 0.05, frame, shape_normals=2 * normals)
+    surface = normals, 2 * normals, x, mask, 0.05
+    images = finger_images(*surface, input_from_upright=frame, upright_size=mask.shape)
     assert set(images.channels) == set(NAMES)
     assert images.px_per_mm == 20
     assert images.mask.shape == images.channels["relief"].shape
@@ -132,17 +133,18 @@ def test_fingers_are_cut_upright():
     for channel in images.channels.values():
         assert channel.dtype == np.float32
         assert not channel[~images.mask].any()
-    larger = finger_images(
-        normals, x, mask, 0.05, 0.5 * np.eye(3) + np.diag([0, 0, 0.5]), upright_size=(202, 202)
-    )
+    half = 0.5 * np.eye(3) + np.diag([0, 0, 0.5])
+    larger = finger_images(*surface, input_from_upright=half, upright_size=(202, 202))
     assert abs(larger.mask.shape[0] - 158) <= 3
     assert larger.channels["normal_x"][80, 80] == pytest.approx(0.3, abs=1e-5)
-    assert "shape_normal_x" not in larger.channels
+    assert larger.channels["shape_normal_x"][80, 80] == pytest.approx(0.6, abs=1e-5)
     with bad_input(r"the mask lies outside the upright frame\."):
-        finger_images(normals, x, mask, 0.05, np.array([[1, 0, 500], [0, 1, 0], [0, 0, 1.0]]))
+        beyond = np.array([[1, 0, 500], [0, 1, 0], [0, 0, 1.0]])
+        finger_images(*surface, input_from_upright=beyond, upright_size=mask.shape)
     holes = x.copy()
     holes[50, 50] = np.nan
-    upright = finger_images(normals, holes, mask, 0.05)
+    surface = normals, 2 * normals, holes, mask, 0.05
+    upright = finger_images(*surface, input_from_upright=np.eye(3), upright_size=mask.shape)
     assert upright.channels["relief"][39, 39] == 0
     assert upright.channels["relief"][39, 40] == 51
 

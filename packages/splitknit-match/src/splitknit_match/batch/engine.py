@@ -1,8 +1,10 @@
-"""A whole population, reconstructed in all cases and compared: what is missing."""
+"""A whole population, reconstructed in all cases and compared: what is missing, and the scores as
+files."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,13 +15,15 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput
-from splitknit.errors import Refused, require
+from splitknit.errors import Refused, refusing, require
 from splitknit.files import given_folders
 from splitknit.findings import Finding
+from splitknit.io.atomic import write_file
+from splitknit.io.provenance import provenance, settings_hash
 from splitknit.io.targets import check_file
 from splitknit.model import Progress, no_progress
 from splitknit_match.batch.cases import Case, preset_cases
-from splitknit_match.batch.features import CaptureTask, extract_minutiae, reconstruct_capture
+from splitknit_match.batch.features import extract_minutiae, reconstruct_capture
 from splitknit_match.batch.matchers import matcher_of
 from splitknit_match.batch.population import (
     Population,
@@ -28,10 +32,21 @@ from splitknit_match.batch.population import (
     chosen_pairs,
     read_population,
 )
-from splitknit_match.batch.scores import Block, compare_block, write_scores
-from splitknit_match.batch.store import Store, locked, open_store
-from splitknit_match.batch.tables import read_table
+from splitknit_match.batch.store import (
+    SCORES,
+    SUFFIX,
+    Place,
+    Store,
+    Table,
+    locked,
+    open_store,
+    read_origin,
+    read_table,
+    write_table,
+)
 from splitknit_match.batch.tasks import Done, Task, Work, Workers, connected, run_tasks
+from splitknit_match.evaluation.protocol import Comparisons
+from splitknit_match.evaluation.scores import score_table
 
 _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
 
@@ -155,14 +170,14 @@ def _reconstruct(run: _Run, cases: Sequence[Case], surfaces: bool) -> dict[str, 
     population = run.population
     tasks = []
     for capture in population.captures:
-        lacking = tuple(case for case in cases if capture.name not in finished[case.name])
+        lacking = [case for case in cases if capture.name not in finished[case.name]]
         if lacking:
-            tasks.append(CaptureTask(capture, lacking))
+            tasks.append((capture, lacking))
     people = population.folder.resolve()
     work = partial(reconstruct_capture, run.store.folder, people, population.sha256, surfaces)
     results = run.done(work, tasks, "reconstructing")
     unreadable = sorted(capture for result in results for capture in result.unreadable)
-    count, lacking_count = len(population.captures), sum(len(task.cases) for task in tasks)
+    count, lacking_count = len(population.captures), sum(len(lacking) for _, lacking in tasks)
     return {
         "captures": count,
         "planned": population.planned,
@@ -249,3 +264,53 @@ def _blocks(run: _Run, case: str, name: str) -> list[Block]:
         if names:
             blocks.append(Block(pairs, names, {k: places[names[k]] for k in used}))
     return blocks
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Comparisons that are made together."""
+
+    pairs: Comparisons
+    names: Mapping[int, str]  # of the captures that are compared
+    places: Mapping[int, Place]  # where the matcher's input is
+
+
+def compare_block(folder: Path, name: str, origin: Mapping[str, Any], block: Block) -> Done:
+    """Make the comparisons of a block by the matcher `name`, and write their table."""
+    started = time.thread_time()
+    matcher, names, places = matcher_of(name), block.names, block.places
+    missing = dict.fromkeys(("similarity", *matcher.columns), math.nan)
+    earlier = {int(a): matcher.database(places[a]) for a in np.unique(block.pairs.a)}
+    rows = []
+    query = None
+    previous = -1
+    columns = (block.pairs.a, block.pairs.b, block.pairs.genuine)
+    for a, b, genuine in zip(*(column.tolist() for column in columns), strict=True):
+        if b != previous:  # one query after the other
+            query, previous = matcher.query(places[b]), b
+        compared = earlier[a] is not None and query is not None
+        values = matcher.compare(earlier[a], query) if compared else missing
+        row = {"a": names[a], "b": names[b], "genuine": genuine}
+        rows.append(row | {"similarity": values["similarity"], "compared": compared} | values)
+    inputs = {names[k]: read_origin(places[k].file)["inputs"][names[k]] for k in names}
+    origin = {**provenance(matcher.document, inputs), "kind": "scores", "kind_version": 1, **origin}
+    content = settings_hash([origin, [(row["a"], row["b"]) for row in rows]])
+    write_table(folder / f"{content[:24]}{SUFFIX}", rows, origin)
+    return Done(len(rows), time.thread_time() - started)
+
+
+def write_scores(path: Path, table: Table) -> None:
+    """Write comparisons of a store as a score file, with the matcher's own columns; what was not
+    compared is blank.
+    """
+    names: dict[str, list[list[str]]] = {"finger": [], "subject": [], "session": []}
+    with refusing("a table of scores names no capture, such as S01/session_2/right_index."):
+        for side in "ab":
+            parts = [capture.split("/") for capture in table[side].tolist()]
+            names["finger"].append([f"{subject}/{finger}" for subject, _, finger in parts])
+            names["subject"].append([subject for subject, _, _ in parts])
+            names["session"].append([session.removeprefix("session_") for _, session, _ in parts])
+    own = {name: column.tolist() for name, column in table.items() if name not in SCORES}
+    scores = {"score": table["similarity"].tolist(), **own}
+    sides = {kind: (a, b) for kind, (a, b) in names.items()}
+    write_file(path, score_table(table["genuine"].tolist(), sides, scores))

@@ -4,14 +4,15 @@ counted and kept."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from splitknit import BadInput, read_capture
 from splitknit.errors import Refused, require
 from splitknit.io.enrolment import FINGERS
-from splitknit.model import Progress, no_progress
+from splitknit.model import Progress
 from splitknit.workers import run_jobs
 from splitknit_match.gallery.file import (
     Entry,
@@ -25,7 +26,7 @@ from splitknit_match.gallery.gallery import (
     Enrolling,
     Made,
     content_of,
-    made_or_failed,
+    made_of,
     new_capture,
     settings_of,
     source_hash,
@@ -50,9 +51,9 @@ def enroll_population(
     folder: Path,
     settings: Enrolling,
     *,
-    key: Key | None = None,
-    workers: int = 1,
-    progress: Progress = no_progress,
+    key: Key | None,
+    workers: int,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Enrol ``folder/S01/session_1/right_index`` (or ``right_index.png``) and so on, but for what
     is in the gallery; every finished capture is kept at once. A capture in which no finger is found
@@ -64,14 +65,14 @@ def enroll_population(
     progress("looking", 0.0)
     places = _found_in(folder)
     with GalleryFile(gallery, key) as target:
-        created, sha256 = not target.there, settings_of(target, settings)
+        created, sha256 = not target.there, settings_of(target)
         require(
             sha256 != MINUTIAE_HASH,
             f"'{gallery}' keeps minutiae; enrol a population into a gallery of its own.",
         )
         waiting = _waiting([] if created else target.entries(), places, replace=settings.replace)
-        unread: list[dict[str, str]] = []
-        failures: list[dict[str, str]] = []
+        unread = []
+        failures = []
         enrolled = 0
         jobs = run_jobs(
             partial(_template_of, settings=settings), waiting, workers, "what is enrolled"
@@ -86,7 +87,7 @@ def enroll_population(
                     failures.append({"path": str(place.path), "reason": row.failure})
             progress(f"{place.person} {place.finger}", done / len(waiting))
         there = target.there
-        facts: dict[str, Any] = asdict(content_of(target, created=created)) if there else {}
+        facts = asdict(content_of(target, created=created)) if there else {}
     facts |= {
         "population": str(folder),
         "found": len(places),
@@ -163,4 +164,20 @@ def _waiting(
 
 
 def _template_of(place: _Source, settings: Enrolling) -> Made | str:
-    return made_or_failed(place.path, settings)
+    """Make the template of a source: a capture that is sound but shows no finger is a failure to
+    acquire.
+
+    Returns a sentence, and no row, where the files themselves are unusable.
+    """
+    path = place.path
+    try:
+        return replace(made_of(path, settings), side=None)
+    except BadInput as error:
+        if not (path / "capture.json").is_file() or (path / "height.npz").is_file():
+            return str(error)
+        try:
+            read_capture(path)
+        except BadInput as unread:
+            return str(unread)
+        failure = str(error).removeprefix(f"{path}: ")
+        return Made("capture", b"", 0.0, source_hash(path), failure)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +23,19 @@ from splitknit.presets import chosen_settings
 from splitknit.reconstruction import surface_of
 from splitknit_match.batch.cases import Case
 from splitknit_match.batch.population import CaptureRef
-from splitknit_match.batch.store import TEMPLATES
-from splitknit_match.batch.surfaces import write_surface
-from splitknit_match.batch.tables import SUFFIX, read_origin, read_table, write_table
+from splitknit_match.batch.store import (
+    SUFFIX,
+    TEMPLATES,
+    read_origin,
+    read_table,
+    write_surface,
+    write_table,
+)
 from splitknit_match.batch.tasks import Done
 from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import pack
 from splitknit_match.prints.minutiae import extract
-from splitknit_match.prints.minutiae_record import no_minutiae, pack_minutiae
+from splitknit_match.records.minutiae_record import no_minutiae, pack_minutiae
 
 PRINT_PPI = 500.0
 """Resolution of the prints that are kept. Source: definition."""
@@ -42,23 +47,20 @@ _MINUTIAE_VERSION = 2
 definition."""
 
 
-@dataclass(frozen=True, slots=True)
-class CaptureTask:
-    """A capture, and the cases that it lacks."""
-
-    capture: CaptureRef
-    cases: tuple[Case, ...]
-
-
 def reconstruct_capture(
-    store: Path, population: Path, population_sha256: str, surfaces: bool, task: CaptureTask
+    store: Path,
+    population: Path,
+    population_sha256: str,
+    surfaces: bool,
+    task: tuple[CaptureRef, Sequence[Case]],
 ) -> Done:
     """Reconstruct a capture and write a table of one row for each case.
 
     A capture that cannot be read gets no row, so that a later run looks at it again; one whose
     sound images are black or overexposed is a failure to acquire.
     """
-    name = task.capture.name
+    taken, cases = task
+    name = taken.name
     capture, unusable = None, ""
     try:
         capture = read_capture(population / name, threads=network_threads())
@@ -68,21 +70,22 @@ def reconstruct_capture(
             return Done(0, unreadable=((name, unusable),))
     failures = []
     fingers: dict[FingerSettings, FingerPhotographs] = {}
-    for case in task.cases:
-        row = failed_row(task.capture, unusable)
+    for case in cases:
+        row = failed_row(taken, unusable)
         if capture is not None:
             file = store / "surfaces" / case.name / f"{name}{SUFFIX}" if surfaces else None
             row |= _reconstructed(capture, fingers, case, file)
         if row["failure"]:
             failures.append(f"{case.name}, {name}: {row['failure']}")
-        origin = provenance(case.document(), {name: row["input_sha256"]})
-        origin |= {"kind": "features", "kind_version": 1, "case": case.name}
-        origin |= {
+        origin = provenance(case.document(), {name: row["input_sha256"]}) | {
+            "kind": "features",
+            "kind_version": 1,
+            "case": case.name,
             "population_sha256": population_sha256,
             "matching_sha256": TEMPLATES["settings_sha256"],
         }
         write_table(store / "features" / case.name / f"{name}{SUFFIX}", [row], origin)
-    return Done(len(task.cases), failures=tuple(failures))
+    return Done(len(cases), failures=tuple(failures))
 
 
 def failed_row(capture: CaptureRef, failure: str) -> dict[str, Any]:
@@ -138,8 +141,9 @@ def extract_minutiae(features: Path, target: Path, file: Path) -> Done:
     if data:
         name = f"the print of '{capture}' in '{file}'"
         pixels = decode_image(data, name)
-        sound = pixels.shape[2] == 1 and pixels.dtype == np.uint8
-        require(sound, f"{name} is not an 8-bit grey image.")
+        require(
+            pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image."
+        )
         minutiae = extract(np.asarray(pixels[..., 0], dtype=np.uint8))
     row = {
         "capture": capture,

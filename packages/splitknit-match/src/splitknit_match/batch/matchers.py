@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ from splitknit_match.matching.thesis import (
 )
 from splitknit_match.matching.thesis_code import CodeSide, code_match, code_side
 from splitknit_match.prints.minutiae import EDGE_MM
-from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
+from splitknit_match.records.minutiae_record import Minutiae, unpack_minutiae
 
 Values = dict[str, float]
 _RIDGE = ("correlation", "overlap_mm2", "rotation_deg")
@@ -121,31 +120,29 @@ def matcher_of(name: str) -> Matcher:
     )
 
 
-MATCHERS: Mapping[str, Matcher] = MappingProxyType(
-    {
-        # a side takes up to 9 MB
-        "ridge": Matcher(_RIDGE, 48, {}, _ridges, _ridges, _by_ridges),
-        # without its gate; 1.9 MB at 30 px/mm
-        "thesis": Matcher(
-            (*_SHIFT, *(f"dissimilarity_{name}" for name in ATTRIBUTES)),
-            128,
-            {"thesis": _THESIS, "similarity_of": list(ThesisSettings().attributes)},
-            _features,
-            _images,
-            _by_thesis,
-        ),
-        # that of the thesis author's program; 4 MB
-        "thesis-code": Matcher(
-            (*_SHIFT, *(f"score_{name}" for name in ATTRIBUTES)), 128, {}, _codes, _codes, _by_code
-        ),
-        "minutiae": Matcher(
-            (),
-            128,
-            {"extraction": "mindtct", "comparison": "agreeing minutiae", "edge_mm": EDGE_MM},
-            _stored_minutiae,
-            _stored_minutiae,
-            lambda a, b: {"similarity": minutiae_match(a, b)},
-            "minutiae",
-        ),
-    }
-)
+MATCHERS = {
+    # a side takes up to 9 MB
+    "ridge": Matcher(_RIDGE, 48, {}, _ridges, _ridges, _by_ridges),
+    # without its gate; 1.9 MB at 30 px/mm
+    "thesis": Matcher(
+        (*_SHIFT, *(f"dissimilarity_{name}" for name in ATTRIBUTES)),
+        128,
+        {"thesis": _THESIS, "similarity_of": list(ThesisSettings().attributes)},
+        _features,
+        _images,
+        _by_thesis,
+    ),
+    # that of the thesis author's program; 4 MB
+    "thesis-code": Matcher(
+        (*_SHIFT, *(f"score_{name}" for name in ATTRIBUTES)), 128, {}, _codes, _codes, _by_code
+    ),
+    "minutiae": Matcher(
+        (),
+        128,
+        {"extraction": "mindtct", "comparison": "agreeing minutiae", "edge_mm": EDGE_MM},
+        _stored_minutiae,
+        _stored_minutiae,
+        lambda a, b: {"similarity": minutiae_match(a, b)},
+        "minutiae",
+    ),
+}

@@ -181,7 +181,7 @@ def _on_cluster(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> It
     """Tasks of a worker that dies are done by another. The scheduler holds a few tasks for each
     thread of its workers, however many there are in all.
     """
-    distributed: Any = importlib.import_module("distributed")
+    distributed = importlib.import_module("distributed")
     client = workers.client
     job = partial(_in_cluster_worker, work, str(provenance()["version"]))
     waiting = iter(tasks)

@@ -125,8 +125,7 @@ def _case(text: str) -> Case:
 
     name, _, rest = text.partition("=")
     preset, _, changes = rest.partition(":")
-    fault = f"`case` '{text}' is not of the form NAME=PRESET:STAGE.FIELD=VALUE,..."
-    require(preset.strip(), fault)
+    require(preset.strip(), f"`case` '{text}' is not of the form NAME=PRESET:STAGE.FIELD=VALUE,...")
     assignments = re.findall(r"(?:\[[^\]]*\]|[^,\[])+", changes)
     parts = [parse_assignment(part) for part in assignments if part.strip()]
     return Case(name.strip(), preset.strip(), dict(parts))
@@ -252,7 +251,7 @@ def enroll(
             duplicates=duplicates or "warn",
             progress=progress,
         )
-        facts: dict[str, Any] = dict(known_json(enrolment.content))
+        facts = dict(known_json(enrolment.content))
         facts |= {"enrolled": known_json(enrolment.enrolled), "alike": known_json(enrolment.alike)}
         lines = [
             _enrolled_line(capture)

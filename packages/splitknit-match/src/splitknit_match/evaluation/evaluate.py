@@ -149,7 +149,7 @@ def evaluate(
         )
         systems.append(replace(system, name=system.name + number))
     ignored = dict.fromkeys(column for table in tables.values() for column in table.ignored)
-    findings: list[Finding] = []
+    findings = []
     if ignored:
         words = f"Columns that were not read: {', '.join(ignored)}."
         findings.append(Finding("ignored-columns", words))

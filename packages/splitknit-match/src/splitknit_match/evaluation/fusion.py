@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,7 +165,7 @@ def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
             -x.T @ rate + hold * w,
         )
 
-    start: Any = np.zeros(x.shape[1])
+    start = np.zeros(x.shape[1])
     weights = minimize(loss, start, jac=True, method="BFGS", options={"gtol": 1e-9}).x
     return weights[: scores.shape[1]], lambda table: design(table) @ weights
 
@@ -176,7 +175,7 @@ FITS = {"minmax": fit_minmax, "linear": fit_linear, "trained": fit_logistic}
 
 def spread(scores: Values) -> tuple[Values, Values]:
     """Mean and standard deviation (S,) of each system."""
-    known: Any = np.ma.masked_invalid(scores)
+    known = np.ma.masked_invalid(scores)
     mean, deviation = known.mean(axis=0).filled(0.0), known.std(axis=0).filled(0.0)
     flat = deviation <= 1e-12 * np.maximum(1.0, np.abs(mean))
     require(

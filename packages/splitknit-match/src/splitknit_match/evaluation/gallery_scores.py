@@ -23,7 +23,7 @@ from splitknit_match.matching.methods import compare_templates
 from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import unpack
-from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
+from splitknit_match.records.minutiae_record import holds_minutiae, unpack_minutiae
 
 
 @dataclass(frozen=True, slots=True, eq=False)

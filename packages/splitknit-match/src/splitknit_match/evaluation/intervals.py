@@ -118,9 +118,8 @@ def differences(
     of single figures: of 12 fingers none of which does, up to 3 / 12 either way. Raises BadInput if
     the systems differ in number or labels, or `method` lacks its ids.
     """
-    same = np.array_equal(first.label, second.label)
     require(
-        same,
+        np.array_equal(first.label, second.label),
         f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.",
     )
     curves = [roc(system.genuine, system.impostor) for system in (first, second)]
@@ -222,7 +221,7 @@ def _clusters(scores: Scores, method: str) -> tuple[NDArray[np.int64], int]:
         f"{scores.name}: a bootstrap by {method} needs three of them at least, but there are"
         f" {used.size}.",
     )
-    return codes.reshape(ids.codes.shape), int(used.size)
+    return codes.reshape(ids.codes.shape), used.size
 
 
 def _percentiles(rows: Values) -> Values:

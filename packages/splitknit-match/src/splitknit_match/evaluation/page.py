@@ -140,21 +140,19 @@ def _system(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
 
 def _charts(results: Sequence[Result]) -> dict[str, bytes]:
     """Curves of all systems together, and a histogram of each."""
-    systems = [result.scores for result in results]
-    bands = []
+    banded = []
     for result in results:
         band = result.intervals.curve_far, result.intervals.curve_low, result.intervals.curve_high
-        bands.append(band if band[0].size else None)
+        banded.append((result.scores.name, result.scores, band if band[0].size else None))
 
     def histograms(*axes: Any) -> None:
-        for ax, scores in zip(axes, systems, strict=True):
-            curves.draw_scores(ax, scores)
+        for ax, result in zip(axes, results, strict=True):
+            curves.draw_scores(ax, result.scores)
 
-    banded = [(scores.name, scores, band) for scores, band in zip(systems, bands, strict=True)]
     return {
         "roc.svg": curves.chart(lambda ax: curves.draw_roc(ax, banded)),
         "det.svg": curves.chart(lambda ax: curves.draw_det(ax, banded), 4.2, 4.2),
-        "scores.svg": curves.chart(histograms, count=len(systems)),
+        "scores.svg": curves.chart(histograms, count=len(results)),
     }
 
 

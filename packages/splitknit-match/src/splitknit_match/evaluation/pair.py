@@ -315,7 +315,7 @@ def _form(height: FloatArray, known: BoolArray) -> FloatArray:
 
 def _inside(mask: BoolArray, place: Sequence[FloatArray]) -> BoolArray:
     """Whether all four pixels around rows and columns are in the mask."""
-    return np.asarray(ndimage.map_coordinates(mask.astype(np.float32), place, order=1) > 0.999)
+    return ndimage.map_coordinates(mask.astype(np.float32), place, order=1) > 0.999
 
 
 def _sampled(
@@ -545,7 +545,7 @@ def _figures(sums: Array, step: float) -> dict[str, Any]:
         )
         tail = 50.0 * (1.0 - CONFIDENCE)
         ends = np.percentile(_statistics(drawn @ sums), (tail, 100.0 - tail), axis=1).T.tolist()
-    figures: dict[str, Any] = {
+    figures = {
         name: {"value": float(value[k]), "low": ends[k][0], "high": ends[k][1]}
         for k, name in enumerate(("correlation", "gain", "rms_um"))
     }

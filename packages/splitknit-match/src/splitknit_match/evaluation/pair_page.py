@@ -29,15 +29,15 @@ def write_comparison(
     pair: PairComparison,
     out: Path,
     names: Sequence[Path],
-    protocol: str | None = None,
-    repeat: PairComparison | None = None,
+    protocol: str | None,
+    repeat: PairComparison | None,
 ) -> dict[str, Any]:
     """Write ``report.html``, ``report.json`` and ``difference.png``, all or nothing; return what
     the JSON holds. `protocol`: one of :data:`splitknit_match.evaluation.pair.PROTOCOLS`, whose
     simulated error is stated; `repeat`: B and a second B, which measures B's own error.
     """
     turn = np.rad2deg(np.arccos(np.clip((np.trace(pair.rotation) - 1.0) / 2.0, -1.0, 1.0)))
-    facts: dict[str, Any] = {
+    facts = {
         **report_head(FORMAT),
         "a": str(names[0]),
         "b": str(names[1]),
@@ -143,7 +143,7 @@ _APART_UM = 20.0  # largest difference that has a colour of its own
 _HIGH_UM = 60.0  # largest height that has a colour of its own
 
 
-def _coloured(values_um: FloatArray, *, diverging: bool = False) -> tuple[Any, float]:
+def _coloured(values_um: FloatArray, *, diverging: bool) -> tuple[Any, float]:
     """The surface's box in colours, at most `_LONGEST_PX` a side; and pixels of the surface in
     one."""
     limit = _APART_UM if diverging else _HIGH_UM

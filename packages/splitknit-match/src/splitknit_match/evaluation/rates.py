@@ -238,9 +238,8 @@ def roc(genuine: Any, impostor: Any) -> Roc:
     """
     sides = [np.asarray(side, dtype=float) for side in (genuine, impostor)]
     for side, name in zip(sides, ("genuine", "impostor"), strict=True):
-        sound = not np.isnan(side).all() and not np.isinf(side).any()
         require(
-            sound,
+            not np.isnan(side).all() and not np.isinf(side).any(),
             f"{name} scores must be finite numbers, or NaN where there is none; one is needed at"
             " least.",
         )

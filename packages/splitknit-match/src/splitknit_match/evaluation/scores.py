@@ -137,7 +137,7 @@ def score_table(
         key: ["" if math.isnan(value) else repr(float(value)) for value in column]
         for key, column in scores.items()
     }
-    columns: dict[str, Sequence[Any]] = {
+    columns = {
         "label": [int(genuine) for genuine in label],
         "score": texts.pop("score"),
     }

@@ -4,7 +4,6 @@ is: :class:`splitknit_match.Candidates`."""
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Self
@@ -23,7 +22,7 @@ from splitknit_match.gallery.identify import (
 from splitknit_match.matching.inputs import held, side_reader
 from splitknit_match.matching.match import Finger
 from splitknit_match.matching.template import unpack
-from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
+from splitknit_match.records.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit_match.threads import one_blas_thread
 
 _NAME = Path("candidates")
@@ -76,8 +75,10 @@ class Candidates:
             mixed = f"'{name}' is of {'minutiae' if of_minutiae else 'ridges'}, others are not"
             require(not payload or settings in ("", own), f"{mixed}; search them apart.")
             settings = settings or (own if payload else "")
-            entry = Entry(name, "finger", "1", "template", "", area_mm2, row=row)
-            entries.append(replace(entry, template_bytes=len(payload)))
+            size = len(payload)
+            entries.append(
+                Entry(name, "finger", "1", "template", "", area_mm2, template_bytes=size, row=row)
+            )
             payloads[row] = payload
         self._people = People(_NAME, settings, entries, payloads, kept.minutiae)
         self._rows += len(templates)
@@ -85,8 +86,9 @@ class Candidates:
     def remove(self, name: str) -> None:
         """Take a template out. Raises BadInput if there is none of this name."""
         left = self._without((name,))
-        there = len(left.entries) < len(self)
-        require(there, f"there is no template '{name}' among the candidates.")
+        require(
+            len(left.entries) < len(self), f"there is no template '{name}' among the candidates."
+        )
         self._people = left
 
     def prepare(self, progress: Progress = no_progress) -> None:

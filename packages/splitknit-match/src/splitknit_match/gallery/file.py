@@ -33,7 +33,7 @@ from splitknit.findings import Finding
 from splitknit.interrupts import UNFINISHED
 from splitknit.io.atomic import GROUP_READABLE, private_modes
 from splitknit.io.enrolment import FINGERS
-from splitknit.model import Progress, no_progress
+from splitknit.model import Progress
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 from splitknit_match.threads import one_blas_thread
 
@@ -116,8 +116,10 @@ class Entry:
         expected = "small letters, digits and _ are expected, such as right_index."
         require(sound, f"{self.finger[:60]!a} cannot be a finger: {expected}")
         check_session(self.session)
-        sound = 0 <= self.area_mm2 <= 1e6
-        require(sound, f"area_mm2 must be a number from 0 to a million, not {self.area_mm2}.")
+        require(
+            0 <= self.area_mm2 <= 1e6,
+            f"area_mm2 must be a number from 0 to a million, not {self.area_mm2}.",
+        )
 
     @property
     def names(self) -> tuple[str, str, str]:
@@ -307,16 +309,16 @@ class People:
         words = " and ".join(
             f"{name} '{value}'" for name, value in wanted.items() if value is not None
         )
-        missing = (
-            f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
+        require(
+            entries or not words,
+            f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it.",
         )
-        require(entries or not words, missing)
         acquired = [entry for entry in entries if entry.template_bytes > 0]
         people = {entry.person for entry in acquired}
         fingers = {(entry.person, entry.finger) for entry in acquired}
         return Chosen(entries, acquired, len(fingers), len(people))
 
-    def index(self, progress: Progress = no_progress) -> MinutiaIndex:
+    def index(self, progress: Progress) -> MinutiaIndex:
         """Index of the minutiae of all templates."""
         # a list of names needs none of it
         from splitknit_match.gallery.minutia_index import MinutiaIndex
@@ -428,7 +430,7 @@ class GalleryFile:
     def _entries(
         self,
         database: Any,
-        person: str | None = None,
+        person: str | None,
         finger: str | None = None,
         session: str | None = None,
     ) -> list[Entry]:
@@ -532,11 +534,11 @@ class GalleryFile:
             words = ", ".join(
                 word for word in (person, finger, session and f"session {session}") if word
             )
-            missing = (
+            require(
+                removed > 0 or erased,
                 f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is"
-                " in it."
+                " in it.",
             )
-            require(removed > 0 or erased, missing)
             last()
         _log.info("removed %d captures", removed)
         return removed
@@ -579,10 +581,11 @@ class GalleryFile:
                         yield database, erased
                         now = _stamp_of(self.path)
                         same = now is not None and place is not None and now[:2] == place[:2]
-                        fault = (
-                            f"'{self.path}' was replaced or removed meanwhile; run the same again."
+                        require(
+                            same,
+                            f"'{self.path}' was replaced or removed meanwhile; run the same again.",
+                            Unavailable,
                         )
-                        require(same, fault, Unavailable)
                         erasing = _is_erasing(database)
                     # it is changed now: on a full disk the change stays in the log
                     with contextlib.suppress(self._driver.OperationalError):
@@ -688,10 +691,9 @@ class GalleryFile:
         except UnicodeDecodeError as error:  # a name in its schema, or in SQLite's own message
             raise Unavailable(self._damaged("a text in it is not UTF-8")) from error
         except OSError as error:
-            fault = (
+            raise Unavailable(
                 f"the gallery '{path}' cannot be written: {error.strerror}; choose another place."
-            )
-            raise Unavailable(fault) from error
+            ) from error
         except self._driver.Error as error:
             code = getattr(error, "sqlite_errorcode", 0) & 0xFF
             busy = (

@@ -21,7 +21,7 @@ from splitknit.io.targets import check_target
 from splitknit_match.gallery.file import FIELDS, Entry, GalleryFile, NewCapture, check_person
 from splitknit_match.gallery.gallery import content_of
 from splitknit_match.matching.template import VERSION, unpack
-from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
+from splitknit_match.records.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit_match.records.templates import encode_template, read_template
 
 TABLE_FILE, FACTS_FILE = "gallery.csv", "gallery.json"
@@ -42,7 +42,7 @@ def export_gallery(gallery: GalleryFile, out: Path, *, person: str | None = None
     people = gallery.people(name)
     about = {"format": _FORMAT, "version": _VERSION, "template_version": VERSION}
     about["settings_sha256"] = people.settings_sha256
-    table: list[list[Any]] = [[*_COLUMNS]]
+    table = [[*_COLUMNS]]
     with atomic_folder(out) as folder:
         folder.chmod(0o700)
         (folder / "templates").mkdir(mode=0o700)
@@ -82,8 +82,10 @@ def _read_settings(folder: Path) -> str:
     form, settings_sha256 = (
         text_of(document, key, str(file)) for key in ("format", "settings_sha256")
     )
-    sound = form == _FORMAT and re.fullmatch("[0-9a-f]{64}", settings_sha256) is not None
-    require(sound, f"'{file}' is damaged, or not of an export; export the gallery again.")
+    require(
+        form == _FORMAT and re.fullmatch("[0-9a-f]{64}", settings_sha256) is not None,
+        f"'{file}' is damaged, or not of an export; export the gallery again.",
+    )
     versions = document.get("version"), document.get("template_version")
     require(
         versions == (_VERSION, VERSION),
@@ -103,20 +105,20 @@ def _read_table(folder: Path) -> list[NewCapture]:
     require(rows, f"'{file}' lists no finger.")
     captures, lines = [], dict[tuple[str, ...], int]()
     for number, row in enumerate(rows, start=2):
-        complete = all(isinstance(row.get(column), str) for column in _COLUMNS)
         require(
-            complete, f"'{file}', line {number}: the columns {', '.join(_COLUMNS)} are expected."
+            all(isinstance(row.get(column), str) for column in _COLUMNS),
+            f"'{file}', line {number}: the columns {', '.join(_COLUMNS)} are expected.",
         )
         try:
             capture = _capture(folder, {column: plain_text(row[column]) for column in _COLUMNS})
         except (BadInput, ValueError) as error:
             raise BadInput(f"'{file}', line {number}: {error}") from error
         first = lines.setdefault(capture.entry.names, number)
-        fault = (
+        require(
+            first == number,
             f"'{file}', lines {first} and {number} are of the same finger and session; remove one"
-            " of them."
+            " of them.",
         )
-        require(first == number, fault)
         captures.append(capture)
     return captures
 
@@ -124,8 +126,10 @@ def _read_table(folder: Path) -> list[NewCapture]:
 def _capture(folder: Path, row: dict[str, str]) -> NewCapture:
     # names of files are checked: a table from elsewhere must not lead out of the folder
     name = row["template"]
-    sound = re.fullmatch(r"templates/\d{1,9}\.skt", name) is not None
-    require(sound, f"a template is named such as templates/0001.skt, not {name[:60]!a}.")
+    require(
+        re.fullmatch(r"templates/\d{1,9}\.skt", name) is not None,
+        f"a template is named such as templates/0001.skt, not {name[:60]!a}.",
+    )
     template = read_template(folder / name, VERSION)
     empty = (
         unpack_minutiae(template).count == 0 if holds_minutiae(template) else unpack(template).empty

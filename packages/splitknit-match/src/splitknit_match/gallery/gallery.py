@@ -14,9 +14,9 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from splitknit import BadInput, Capture, Reconstruction, read_capture
+from splitknit import BadInput, Capture, Reconstruction
 from splitknit.arguments import AnyPath, Natural, Preset, Ridges, checked
 from splitknit.errors import require
 from splitknit.findings import Finding, Severity, worst_first
@@ -56,8 +56,8 @@ from splitknit_match.matching.methods import side_minutiae
 from splitknit_match.matching.results import one_in
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import mirrored
-from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
+from splitknit_match.records.minutiae_record import pack_minutiae
 from splitknit_match.threads import one_blas_thread
 
 _log = logging.getLogger(__name__)
@@ -222,7 +222,7 @@ class Gallery(GalleryFile):
         one_blas_thread()
         how = how or Enrolling()
         ppi = how.resolution_ppi if resolution_ppi is None else resolution_ppi
-        several: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
+        several = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
         ridges = ridges or how.ridges
         sources = [held(source, ppi, ridges) for source in several]
         if any(isinstance(source, Pixels) for source in sources):
@@ -230,14 +230,16 @@ class Gallery(GalleryFile):
         how = replace(how, resolution_ppi=ppi, ridges=ridges)
         kinds = "a capture, a result, a template (.skt), a print or a record of minutiae"
         require(sources, f"name {kinds} to enrol.")
-        single = len(sources) == 1 or session is None
-        require(single, "`session` goes with one source; several are numbered by themselves.")
+        require(
+            len(sources) == 1 or session is None,
+            "`session` goes with one source; several are numbered by themselves.",
+        )
         person, finger = check_person(person), known_finger(finger)
         if session is not None:
             check_session(session)
         created = not self.there
         settings_sha256 = settings_of(
-            self, how, of_minutiae=any(is_of_minutiae(source) for source in sources)
+            self, of_minutiae=any(is_of_minutiae(source) for source in sources)
         )
         rows = []
         for number, source in enumerate(sources):
@@ -247,11 +249,11 @@ class Gallery(GalleryFile):
 
             row = made_of(source, how, settings_sha256 == MINUTIAE_HASH, part)
             name = f"'{source}'" if isinstance(source, Path) else "what was given"
-            fault = (
+            require(
+                not row.failure or row.kind == "template",
                 f"{name} holds {row.failure} (failure to acquire), so nothing was enrolled; capture"
-                " it again."
+                " it again.",
             )
-            require(not row.failure or row.kind == "template", fault)
             rows.append(row)
         earlier = [] if created else self.entries(person, finger)
         sessions = _sessions(rows, earlier, session)
@@ -477,7 +479,7 @@ def _sessions(rows: Sequence[Made], earlier: Sequence[Entry], session: str | Non
     return chosen
 
 
-def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = False) -> str:
+def settings_of(gallery: GalleryFile, *, of_minutiae: bool = False) -> str:
     """Hash of the settings of templates to enrol, `of_minutiae` where a source is a record of them.
 
     A gallery of minutiae takes everything, for minutiae can be found in it. Raises BadInput if the
@@ -553,25 +555,6 @@ def made_of(
             f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae."
         )
     return Made(side.kind, payload, area_mm2, source_hash(path), failure, side.findings, compared)
-
-
-def made_or_failed(path: Path, how: Enrolling) -> Made | str:
-    """As :func:`made_of`, for many: a capture that is sound but shows no finger is a failure to
-    acquire.
-
-    Returns a sentence, and no row, where the files themselves are unusable.
-    """
-    try:
-        return replace(made_of(path, how), side=None)
-    except BadInput as error:
-        if not (path / "capture.json").is_file() or (path / "height.npz").is_file():
-            return str(error)
-        try:
-            read_capture(path)
-        except BadInput as unread:
-            return str(unread)
-        failure = str(error).removeprefix(f"{path}: ")
-        return Made("capture", b"", 0.0, source_hash(path), failure)
 
 
 def source_hash(path: Path | Held) -> str:

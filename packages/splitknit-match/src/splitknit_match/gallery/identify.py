@@ -36,11 +36,10 @@ from splitknit_match.matching.methods import (
     compare_minutiae,
     compare_templates,
     compared_side,
-    fmr_basis,
+    fmr_table,
     reason,
     scale_doubt,
     side_minutiae,
-    similarity_at,
 )
 from splitknit_match.matching.results import (
     ComparedSide,
@@ -54,7 +53,7 @@ from splitknit_match.matching.results import (
 )
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
+from splitknit_match.records.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
 from splitknit_match.threads import one_blas_thread
 
 TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7bc"
@@ -187,11 +186,11 @@ def identify_finger(
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
     chosen = people.of(person, finger)
     if fmr is not None:  # refused here, before anything is made, where no such rate was measured
-        similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
+        fmr_table("minutiae_of_prints" if of_minutiae else "ridge").threshold(fmr)
     side = read(lambda stage, fraction: progress(stage, 0.5 * fraction))
     side = side if of_minutiae else with_print(side)
     if side.either and not of_minutiae:
-        found: list[Identification] = []
+        found = []
         for light in (False, True):
             reading = partial(lambda part, _: part, side.reading(light=light))
             found.append(
@@ -262,7 +261,7 @@ def identify_finger(
         searched=searched,
         merge=merge,
         candidates=candidates,
-        fmr_basis=rated[0].fmr_basis if rated else fmr_basis(table),
+        fmr_basis=rated[0].fmr_basis if rated else fmr_table(table).basis,
         decision=decision,
         answer=answer,
         undecided=undecided,
@@ -286,8 +285,8 @@ def _decided(
         return None, rated[0].undecided
     decision = rated[0].decision if rated else None
     if decision is None:
-        fmr = fmr or max(DECIDED_AT, fmr_basis(table).smallest)
-        decision = MatchDecision(False, fmr, similarity_at(fmr, table))
+        fmr = fmr or max(DECIDED_AT, fmr_table(table).smallest)
+        decision = MatchDecision(False, fmr, fmr_table(table).threshold(fmr))
     return SearchDecision(**asdict(decision), expected_false_matches=captures * decision.fmr), None
 
 
@@ -310,8 +309,8 @@ def _search(
     acquired = sought.acquired
     compared_by = "ridge"
     quick = False
-    findings: list[Finding] = []
-    comparisons: list[_Comparison] = []
+    findings = []
+    comparisons = []
     if isinstance(probe, Minutiae):
         compared_by = "minutiae"
         comparisons = _by_minutiae(people, probe, acquired)

@@ -16,7 +16,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -33,22 +32,6 @@ from splitknit_match.matching.template import Template, unpack
 
 T = TypeVar("T")
 R = TypeVar("R")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Hits:
-    """Minutiae of the gallery, V of them, that share one of the probe's K keys."""
-
-    enrolled: NDArray[np.int32]
-    """(V,) minutia of the gallery."""
-    key: NDArray[np.int32]
-    """(V,) the key that is shared."""
-    bin: NDArray[np.int32]
-    """(V,) number of the capture times the steps of rotation, plus how many it is rotated by."""
-    probe: NDArray[np.int64]
-    """(K,) minutia of the probe that has the key."""
-    weight: NDArray[np.float64]
-    """(K,) of the key, more where it is rare."""
 
 
 _TABLES = 80  # tables of the index
@@ -144,17 +127,17 @@ class MinutiaIndex:
         rows."""
         if not len(self.turn) or not len(probe.turn):
             return []
-        hits = self._hits(probe)
-        captures, slot = self._rotated(hits.bin)
+        enrolled, key, bins, minutia, weight = self._hits(probe)
+        captures, slot = self._rotated(bins)
         slots = len(captures) * _PEAKS
-        slot = slot.take(hits.bin)
+        slot = slot.take(bins)
         voting = np.flatnonzero(slot >= 0)
         slot = slot.take(voting)
-        enrolled = hits.enrolled.take(voting)
-        rotation = hits.bin.take(voting) % _ROTATIONS
-        key = hits.key.take(voting)
-        minutia = hits.probe.take(key)
-        weight = hits.weight.take(key)
+        enrolled = enrolled.take(voting)
+        rotation = bins.take(voting) % _ROTATIONS
+        key = key.take(voting)
+        minutia = minutia.take(key)
+        weight = weight.take(key)
 
         # votes by shift
         angles = 2j * np.pi / _ROTATIONS * np.arange(_ROTATIONS)
@@ -199,8 +182,19 @@ class MinutiaIndex:
         rows = self.rows[captures[kept]]
         return [int(row) for row in rows[np.lexsort((rows, -score))[:k]]]
 
-    def _hits(self, probe: Cylinders) -> _Hits:
-        """Minutiae that share a key with the probe's which is not too common."""
+    def _hits(self, probe: Cylinders) -> tuple[NDArray[Any], ...]:
+        """Minutiae of the gallery, V of them, that share one of the probe's K keys which is not
+        too common.
+
+        Returns
+        -------
+        enrolled : (V,) minutia of the gallery
+        key : (V,) the key that is shared
+        bins : (V,) number of the capture times the steps of rotation, plus how many it is rotated
+            by
+        minutia : (K,) minutia of the probe that has the key
+        weight : (K,) of the key, more where it is rare
+        """
         keys = _keys(probe)
         tables = np.arange(_TABLES)
         mean = len(self.turn) / (1 << _BITS)
@@ -219,7 +213,7 @@ class MinutiaIndex:
         capture = code // (2 * _ROTATIONS)
         rotation = code % _ROTATIONS
         weight = np.sqrt(mean / np.maximum(sizes, 1))
-        return _Hits(enrolled, key, capture * _ROTATIONS + rotation, minutia, weight)
+        return enrolled, key, capture * _ROTATIONS + rotation, minutia, weight
 
     def _rotated(self, bins: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         """Captures with most votes for some rotation; and by bin the number of a capture's best

@@ -34,7 +34,7 @@ from splitknit_match.gallery.gallery import Gallery
 from splitknit_match.matching.inputs import Pixels
 from splitknit_match.matching.match import make_template
 from splitknit_match.prints.from_file import MAX_PPI, MIN_PPI, minutiae_of
-from splitknit_match.prints.minutiae_record import pack_minutiae
+from splitknit_match.records.minutiae_record import pack_minutiae
 from splitknit_match.records.pictures import PrintFile
 from splitknit_match.records.print_formats import decode_prints
 
@@ -99,7 +99,7 @@ def openapi() -> dict[str, Any]:
     }
     document = {"content": {"application/json": {"schema": {"type": "object"}}}}
     responses = {code: {"description": text, **document} for code, text in answers.items()}
-    paths: dict[str, Any] = {}
+    paths = {}
     for name, (words, fields, needed) in ACTS.items():
         known = {
             key: {"type": kinds[kind], "description": text} for key, (kind, text) in fields.items()
@@ -141,8 +141,10 @@ def make_app(
     Raises BadInput if the token is short, the audit file cannot be written, or Starlette is not
     installed.
     """
-    sound = len(token) >= _MIN_TOKEN and token.isascii()
-    require(sound, f"the token must have {_MIN_TOKEN} ASCII characters or more.")
+    require(
+        len(token) >= _MIN_TOKEN and token.isascii(),
+        f"the token must have {_MIN_TOKEN} ASCII characters or more.",
+    )
     _write_line(audit, {"act": "start"})
     with importing("serving needs Starlette and uvicorn: pip install 'splitknit-match[serve]'."):
         from anyio import CapacityLimiter, fail_after, move_on_after, to_thread
@@ -327,8 +329,10 @@ def _fields_of(name: str, body: bytes) -> dict[str, Any]:
         sound = isinstance(value, int | float if kind is float else kind) and not isinstance(
             value, bool
         )
-        sound = sound and (kind is not float or abs(value) <= sys.float_info.max)
-        require(sound, f"'{key}' must be a {'number' if kind is not str else 'text'}.")
+        require(
+            sound and (kind is not float or abs(value) <= sys.float_info.max),
+            f"'{key}' must be a {'number' if kind is not str else 'text'}.",
+        )
     for key in needed:
         require(key in fields, f"'{key}' is missing: {known[key][1]}.")
     single = ("print" in fields) != ("template" in fields)

@@ -112,9 +112,7 @@ def identify(
     >>> answer = splitknit_match.identify("people.skg", "captures/unknown", top=3)  # doctest: +SKIP
     >>> answer.candidates  # doctest: +SKIP
     """
-    from splitknit_match.gallery.gallery import Gallery
-
-    return Gallery(gallery, key).identify(
+    return _opened(gallery, key).identify(
         probe,
         top=top,
         person=person,
@@ -209,7 +207,7 @@ def identify_in_gallery(
     return Report(identification.facts, tuple(identification_lines(identification, scores=True)))
 
 
-def _opened(gallery: AnyPath, key_file: AnyPath | None) -> Gallery:
+def _opened(gallery: AnyPath, key_file: GivenKey | None) -> Gallery:
     from splitknit_match.gallery.gallery import Gallery
 
     return Gallery(gallery, key_file)
@@ -304,7 +302,7 @@ def gallery_info(gallery: AnyPath, *, key_file: KeyFile = None) -> Report:
     from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
     with _opened(gallery, key_file) as opened:
-        facts: dict[str, Any] = asdict(content_of(opened, created=False))
+        facts = asdict(content_of(opened, created=False))
         template_bytes = sum(entry.template_bytes for entry in opened)
     del facts["created"]
     file_bytes = Path(gallery).stat().st_size
@@ -488,16 +486,17 @@ def serve(
     >>> serve(gallery="people.skg", token_file="token")  # doctest: +SKIP
     """
     from splitknit_match.gallery.file import readable, readable_gallery
-    from splitknit_match.gallery.gallery import Gallery
     from splitknit_match.gallery.serve import make_app, read_token
 
-    good = (certificate is None) == (certificate_key is None)
-    require(good, "`certificate` and `certificate_key` go together.")
+    require(
+        (certificate is None) == (certificate_key is None),
+        "`certificate` and `certificate_key` go together.",
+    )
     cure = "give `certificate` and `certificate_key` for TLS, or a proxy's."
     require(host in LOCAL or certificate is not None, f"'{host}' is not this machine alone; {cure}")
     token = read_token(None if token_file is None else Path(token_file))
     scheme = "http" if certificate is None else "https"
-    with Gallery(gallery, key_file) as opened:
+    with _opened(gallery, key_file) as opened:
         if opened.there:
             opened.people()
         app = make_app(opened, token, None if audit is None else Path(audit))

@@ -116,7 +116,7 @@ class CoarseViews:
         # side of the square over which a direction is averaged
         window = (round(1.05 / self.band.pitch_mm),) * 2
         xx, yy, xy, fraction = (
-            np.asarray(cv2.blur(part, window, borderType=cv2.BORDER_CONSTANT))
+            cv2.blur(part, window, borderType=cv2.BORDER_CONSTANT)
             for part in (across * across, up * up, across * up, valid.astype(np.float32))
         )
         power = (xx + yy)[valid]

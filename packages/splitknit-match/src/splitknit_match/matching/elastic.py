@@ -200,7 +200,7 @@ def compare_patches(
     )
     support = _supported(surface, patches.cell[used], patches.grid, common[used])
     shift, correlation = _peak(support, surface)
-    return Agreement(used, correlation, shift, common[used].astype(np.float32))
+    return Agreement(used, correlation, shift, common[used])
 
 
 def better_affine(patches: PatchGrid, agreement: Agreement, b_from: Affine) -> Affine:

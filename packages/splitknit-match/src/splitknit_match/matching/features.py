@@ -110,6 +110,8 @@ def cells(
     BadInput if it holds none."""
     cell = max(4, round(side_px * px_per_mm / REFERENCE_PX_PER_MM))
     rows, columns = (side // cell for side in image.shape)
-    fault = f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels."
-    require(rows > 0 and columns > 0, fault)
+    require(
+        rows > 0 and columns > 0,
+        f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.",
+    )
     return cell, rows, columns

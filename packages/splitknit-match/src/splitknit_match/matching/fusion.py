@@ -46,7 +46,7 @@ from splitknit_match.matching.ridge import (
     turn_of,
 )
 from splitknit_match.matching.template import Template, scaled
-from splitknit_match.prints.minutiae_record import pack_minutiae
+from splitknit_match.records.minutiae_record import pack_minutiae
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ def fused_match(
     many = all(
         side.template.minutiae is not None and side.template.minutiae.acquired for side in (a, b)
     )
-    pairings: list[Pairing] = []
+    pairings = []
     minutiae = None
     if (many or small) and left.cylinders is not None and right.cylinders is not None:
         pairings = pair_minutiae(left.cylinders, right.cylinders)
@@ -381,7 +381,7 @@ def _laid(a: Prepared, affine: Affine) -> Positions:
     """(N, 2) columns and rows in B of A's minutiae."""
     assert a.cylinders is not None
     place = a.pixels(a.cylinders.place) - affine[:, 2]
-    return np.asarray(place @ np.linalg.inv(affine[:, :2]).T)
+    return place @ np.linalg.inv(affine[:, :2]).T
 
 
 def _order(side: Prepared) -> tuple[bytes, bytes]:
@@ -396,7 +396,7 @@ def _agreeing_minutiae(
     sides)."""
     assert a.cylinders is not None
     assert b.cylinders is not None
-    in_a: Positions = shown_in_a(patches, affine, bend, b.pixels(b.cylinders.place))
+    in_a = shown_in_a(patches, affine, bend, b.pixels(b.cylinders.place))
     shown_by_a = on_ridges(a.template.valid, in_a)
     shown_by_b = on_ridges(b.template.valid, _laid(a, affine))
     offset_mm = (in_a - (np.array(a.template.valid.shape[::-1]) - 1) / 2) * a.template.pitch_mm

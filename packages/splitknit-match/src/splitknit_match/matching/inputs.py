@@ -37,7 +37,8 @@ from splitknit_match.matching.template import (
     with_minutiae,
 )
 from splitknit_match.prints.minutiae import at_500_ppi
-from splitknit_match.prints.minutiae_record import (
+from splitknit_match.prints.photo_finger import PhotoFinger
+from splitknit_match.records.minutiae_record import (
     PPI,
     Minutiae,
     holds_minutiae,
@@ -45,7 +46,6 @@ from splitknit_match.prints.minutiae_record import (
     pack_minutiae,
     unpack_minutiae,
 )
-from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.records.templates import HEADER_BYTES, MAGIC, decode_template, read_template
 
 if TYPE_CHECKING:

@@ -29,7 +29,6 @@ from splitknit_match.matching.inputs import Side, undoubted, with_print
 from splitknit_match.matching.minutiae_match import minutiae_match
 from splitknit_match.matching.results import (
     ComparedSide,
-    FmrBasis,
     Match,
     MatchDecision,
     MatchOfImages,
@@ -43,7 +42,7 @@ from splitknit_match.matching.ridge import Prepared, RidgeMatch, ridge_match
 from splitknit_match.matching.score import FMR_ROUNDING, FmrTable
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.template import VERSION, Template, mirrored
-from splitknit_match.prints.minutiae_record import PPI, Minutiae
+from splitknit_match.records.minutiae_record import PPI, Minutiae
 from splitknit_match.records.templates import is_template, write_template
 
 if TYPE_CHECKING:
@@ -63,6 +62,8 @@ TABLES = {
 """False match rates, made by validation/match/unseen.py of real prints, windows.py of parts of
 them, records.py of real records, and impostors.py, telephone.py and surfaces.py of simulated
 fingers; where real impostors of such kinds state larger rates, these."""
+Common = dict[str, Any]
+"""What every method says of a comparison: method and sides."""
 OwnMatcher = Callable[[NDArray[np.uint8], NDArray[np.uint8]], float]
 """From two prints (H, W) at 500 ppi, ridges dark, to a similarity; NaN: not compared."""
 
@@ -160,15 +161,16 @@ def compare_sides(
         return light if light.answer == "match" else dark
     kinds = [side.template.kind for side in (a, b) if side.template is not None]
     scores = impostors_of(method, *kinds)
+    common = {"method": method, "a": compared_side(a), "b": compared_side(b)}
     match: Match
     if method in ("ridge", "fusion"):
-        match, scores = _by_templates(method, a, b)
+        match, scores = _by_templates(method, a, b, common)
     elif method == "minutiae":
-        match, scores = _by_minutiae(a, b)
+        match, scores = _by_minutiae(a, b, common)
     elif method in ("thesis", "thesis-code"):
-        match = _by_images(method, thesis, a, b)
+        match = _by_images(method, thesis, a, b, common)
     else:
-        match = _by_own(method, a, b)
+        match = _by_own(method, a, b, common)
     doubts = [side.doubt for side in (a, b) if side.doubt is not None]
     match = _rated(match, scores, fmr, own, doubts)
     findings = [*a.findings, *b.findings, *match.findings]
@@ -230,7 +232,7 @@ def write_template_file(template: Path | None, side: Side) -> TemplateFile | Non
     return TemplateFile(str(template), template.stat().st_size)
 
 
-def _by_templates(method: str, a: Side, b: Side) -> tuple[MatchOfRidges, str]:
+def _by_templates(method: str, a: Side, b: Side, common: Common) -> tuple[MatchOfRidges, str]:
     """Compare by ridges alone, or two prints by ridges and minutiae; and the impostors that rate
     it.
 
@@ -242,10 +244,8 @@ def _by_templates(method: str, a: Side, b: Side) -> tuple[MatchOfRidges, str]:
     )
     pair = compare_templates(method, left, right)
     ridge = pair.ridge
-    common: dict[str, Any] = {
-        "method": method,
-        "a": compared_side(a),
-        "b": compared_side(b),
+    common = {
+        **common,
         "similarity": pair.similarity,
         "compared": pair.compared,
         "overlap_mm2": ridge.overlap_mm2,
@@ -289,26 +289,21 @@ def _comparable(method: str, side: Side) -> Template:
     return template
 
 
-def _by_minutiae(a: Side, b: Side) -> tuple[Match, str]:
+def _by_minutiae(a: Side, b: Side, common: Common) -> tuple[Match, str]:
     """Compare by minutiae; and the impostors that rate it. Raises BadInput if a side is a template
     of ridges."""
     minutiae = side_minutiae(a), side_minutiae(b)
-    sides = [
-        replace(compared_side(side), minutiae=own.count, acquired=own.acquired)
-        for side, own in zip((a, b), minutiae, strict=True)
-    ]
+    sides = {
+        name: replace(common[name], minutiae=own.count, acquired=own.acquired)
+        for name, own in zip("ab", minutiae, strict=True)
+    }
     pair = compare_minutiae(*minutiae)
-    match = Match(
-        method="minutiae",
-        a=sides[0],
-        b=sides[1],
-        similarity=pair.similarity,
-        compared=pair.compared,
-    )
-    return match, pair.scores
+    return Match(**common | sides, similarity=pair.similarity, compared=pair.compared), pair.scores
 
 
-def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> MatchOfImages:
+def _by_images(
+    method: str, settings: ThesisSettings, a: Side, b: Side, common: Common
+) -> MatchOfImages:
     from splitknit_match.matching.thesis import thesis_match  # a template needs none of these
     from splitknit_match.matching.thesis_code import code_match, code_side
 
@@ -326,9 +321,7 @@ def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> Match
         else code_match(*map(code_side, images))
     )
     return MatchOfImages(
-        method=method,
-        a=compared_side(a),
-        b=compared_side(b),
+        **common,
         similarity=match.similarity,
         compared=match.compared,
         overlap=match.ratio,
@@ -344,19 +337,15 @@ KNOWN = ("auto", "ridge", "fusion", "thesis", "thesis-code", "minutiae")
 def check_method(method: str) -> None:
     """Raise BadInput if it is neither known nor somebody's own matcher."""
     if method not in KNOWN:
-        own_matcher(method)
+        own_object("matcher", method, KNOWN)
 
 
-def own_matcher(name: str) -> OwnMatcher:
-    """Somebody's own matcher. Raises BadInput if there is none of the name."""
-    return own_object("matcher", name, KNOWN)  # type: ignore[no-any-return]
-
-
-def _by_own(method: str, a: Side, b: Side) -> Match:
-    similarity = float(own_matcher(method)(_print_of(a), _print_of(b)))
-    sides = compared_side(a), compared_side(b)
-    compared = all(side.acquired for side in sides) and math.isfinite(similarity)
-    return Match(method=method, a=sides[0], b=sides[1], similarity=similarity, compared=compared)
+def _by_own(method: str, a: Side, b: Side, common: Common) -> Match:
+    matcher: OwnMatcher = own_object("matcher", method, KNOWN)
+    similarity = float(matcher(_print_of(a), _print_of(b)))
+    acquired = common["a"].acquired and common["b"].acquired
+    compared = acquired and math.isfinite(similarity)
+    return Match(**common, similarity=similarity, compared=compared)
 
 
 def _template(side: Side) -> Template:
@@ -522,7 +511,7 @@ def rate(
             else f"measured on {SMALL_MM2:.0f} mm² of skin or more"
         )
         return _unknown(f"false match rates of the method {method} were {where}")
-    table = own or _fmr_table(scores)
+    table = own or fmr_table(scores)
     if overlap_mm2 is not None and overlap_mm2 < table.rated_mm2:
         return _unknown(
             f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {table.rated_mm2:.0f} mm² or"
@@ -551,26 +540,16 @@ def rate(
 
 def check_rate(fmr: Any) -> None:
     """Raise BadInput if the rate at which is to be decided is none."""
-    sound = fmr is None or (isinstance(fmr, int | float) and 0 < fmr < 1)
-    require(sound, f"`fmr` must lie between 0 and 1, but it is {fmr!r}.")
-
-
-def fmr_basis(method: str = "ridge") -> FmrBasis:
-    """Return what false match rates were measured on: impostor comparisons, and among which
-    fingers."""
-    return _fmr_table(method).basis
-
-
-def similarity_at(fmr: float, method: str = "ridge") -> float:
-    """Smallest similarity at which the rate of false matches is `fmr` or less, as
-    :meth:`FmrTable.threshold`."""
-    return _fmr_table(method).threshold(fmr)
+    require(
+        fmr is None or (isinstance(fmr, int | float) and 0 < fmr < 1),
+        f"`fmr` must lie between 0 and 1, but it is {fmr!r}.",
+    )
 
 
 @cache
-def _fmr_table(method: str) -> FmrTable:
-    """False match rates of a method of :data:`TABLES`."""
-    file = Path(__file__).with_name(TABLES[method])
+def fmr_table(scores: str = "ridge") -> FmrTable:
+    """False match rates of a name of :data:`TABLES`."""
+    file = Path(__file__).with_name(TABLES[scores])
     document = json.loads(file.read_text(encoding="utf-8"))
     return FmrTable(
         np.array(document["similarity"]),
@@ -579,5 +558,5 @@ def _fmr_table(method: str) -> FmrTable:
         document["what"],
         document.get("rated_mm2", 0.0),
         document.get("excluded_mm2", 0.0),
-        method,
+        scores,
     )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid
 from splitknit_match.matching.ridge_band import RidgeBand
-from splitknit_match.prints.minutiae_record import Minutiae
+from splitknit_match.records.minutiae_record import Minutiae
 
 Places = NDArray[np.complex128]
 Directed = tuple[Places, Array]
@@ -161,7 +161,7 @@ def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Pairing]:
         top = int(np.argmax(free))
         member = (fits[top] >= _MIN_FIT) | (np.arange(count) == top)
         near = np.where(np.arange(count) == top, value, fits[top] * value)
-        company: list[int] = []
+        company = []
         taken: set[int] = set()  # of A as they are, of B as ~j
         for k in np.argsort(-near, kind="stable").tolist():
             both = {int(i[k]), ~int(j[k])}
@@ -246,7 +246,7 @@ presses with pulls. Range: 3 to 6."""
 def _slip(a: Places, b: Places) -> Array:
     """(N, M) covariance, mm2, of the skin's shift along one axis between places."""
     near = np.exp(-0.5 * (np.abs(a[:, None] - b) / _SLIP_REACH_MM) ** 2)
-    return np.asarray(_SLIP_MM[0] ** 2 * near + _SLIP_MM[1] ** 2)
+    return _SLIP_MM[0] ** 2 * near + _SLIP_MM[1] ** 2
 
 
 def _similarity(a: Cylinders, b: Cylinders) -> FloatArray:

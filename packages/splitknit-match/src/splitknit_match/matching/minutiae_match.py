@@ -24,7 +24,7 @@ from splitknit_match.matching.minutia_pairs import (
 )
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.minutiae_record import PPI, Minutiae
+from splitknit_match.records.minutiae_record import PPI, Minutiae
 
 _PITCH_MM = 0.1
 """Pitch of the mask of what a set of minutiae shows."""

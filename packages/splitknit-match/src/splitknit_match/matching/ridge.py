@@ -77,7 +77,7 @@ class Prepared:
     def band(self) -> RidgeBand:
         """Its ridges with the steps of their levels smoothed away, zero outside."""
         smooth = gaussian_mean(self.template.value(), 0.6)
-        value = np.where(self.template.valid, smooth, 0.0).astype(np.float32)
+        value = np.where(self.template.valid, smooth, 0.0)
         return RidgeBand(value, self.template.valid, self.template.pitch_mm)
 
     @made_once

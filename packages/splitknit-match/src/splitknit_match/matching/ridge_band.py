@@ -19,7 +19,7 @@ from splitknit.checks import check_mask
 from splitknit.errors import require
 from splitknit.imaging.geometry import gaussian_mean, height_gradients, sampled_at
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_match.prints.minutiae_record import LARGEST_MM2
+from splitknit_match.records.minutiae_record import LARGEST_MM2
 
 AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4
@@ -127,7 +127,7 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     weight = inside.astype(np.float32)
     narrow, window = _RIDGE_MM / band_mm, _WINDOW_MM / band_mm
     total = np.maximum(gaussian_mean(weight, narrow), 1e-3)
-    ridges: AnyArray = np.where(inside, value, 0.0).astype(np.float32)
+    ridges: AnyArray = np.where(inside, value, 0.0)
     for _ in range(2):  # twice: the first pass leaves something of a slope beside the edge
         ridges = (ridges - gaussian_mean(ridges, narrow) / total) * weight
     fraction = np.maximum(gaussian_mean(weight, window), 1e-3)
@@ -159,14 +159,8 @@ def print_band(
     positive.
 
     `image`: (H, W) uint8, ridges dark, upright, as ink on paper; `inside`: (H, W) bool, where there
-    are ridges, by default wherever there is contrast; without any, nothing is valid. Raises
-    BadInput if it is not a grey image or the resolution is not positive.
+    are ridges, by default wherever there is contrast; without any, nothing is valid.
     """
-    require(
-        image.ndim == 2 and image.dtype == np.uint8 and image.size > 0,
-        f"a print must be (H, W) uint8, not {image.shape} {image.dtype}.",
-    )
-    require(np.isfinite(ppi) and ppi > 0, f"ppi must be a positive number, but it is {ppi}.")
     pitch = MM_PER_INCH / ppi
     ink = np.ascontiguousarray(255.0 - image[:, ::-1].astype(np.float32))
     detail = ink - gaussian_mean(ink, _RIDGE_MM / pitch)
@@ -200,13 +194,13 @@ def band_places(
     # slopes of the shape, on a grid of 0.25 mm and smooth: ridges must not stretch the skin
     reduced = max(1, int(0.25 / pitch_mm))
     small = max(1, mask.shape[1] // reduced), max(1, mask.shape[0] // reduced)
-    weight: AnyArray = cv2.resize(mask.astype(np.float32), small, interpolation=cv2.INTER_AREA)
+    weight = cv2.resize(mask.astype(np.float32), small, interpolation=cv2.INTER_AREA)
     height: AnyArray = cv2.resize(
         np.where(mask, shape_mm, 0.0), small, interpolation=cv2.INTER_AREA
     )
     factor = mask.shape[1] / small[0]
     inside = weight > 0.5
-    height = np.where(inside, height / np.maximum(weight, 0.5), np.nan).astype(np.float32)
+    height = np.where(inside, height / np.maximum(weight, 0.5), np.nan)
     sigma = 0.6 / (pitch_mm * factor)
     fraction = inside.astype(np.float32)
     total = np.maximum(gaussian_mean(fraction, sigma), 1e-3)

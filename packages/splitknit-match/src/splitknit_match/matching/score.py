@@ -130,7 +130,7 @@ def calibrate_scores(impostor: ArrayLike) -> FmrTable:
     thresholds = np.unique(thresholds)
     # between two entries the lower one's (larger) rate holds
     count = scores.size - np.searchsorted(scores, thresholds, side="left")
-    return FmrTable(thresholds, (count + 1) / (scores.size + 1), int(scores.size))
+    return FmrTable(thresholds, (count + 1) / (scores.size + 1), scores.size)
 
 
 DECISION_FORMAT = "splitknit-decision"

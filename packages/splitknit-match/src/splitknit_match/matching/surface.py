@@ -38,10 +38,10 @@ def surface_images(surface: Surface) -> FingerImages:
     relief = surface.ridge_mm + surface.shape_mm if surface.whole else surface.ridge_mm
     return finger_images(
         surface.normals,
+        normals_from_gradients(across, up),
         relief,
         surface.mask,
         surface.pitch_mm,
-        surface.input_from_upright,
+        input_from_upright=surface.input_from_upright,
         upright_size=surface.upright_size,
-        shape_normals=normals_from_gradients(across, up),
     )

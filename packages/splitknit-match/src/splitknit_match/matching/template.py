@@ -6,7 +6,7 @@ number of runs (uint32), pitch in micrometres (uint16); the lengths of alternati
 and valid pixels in row order (uint16 each, or 65535 and a uint32 for longer ones); two bits for
 each valid pixel, the first pixel in the lowest bits; of a surface, the payload of its print; and of
 a print, where they were found, its minutiae
-(:func:`splitknit_match.prints.minutiae_record.pack_minutiae`, with a version of their own). A
+(:func:`splitknit_match.records.minutiae_record.pack_minutiae`, with a version of their own). A
 finger that could not be acquired is a payload of zero bytes.
 """
 
@@ -24,7 +24,7 @@ from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.ridge_band import RidgeBand
-from splitknit_match.prints.minutiae_record import (
+from splitknit_match.records.minutiae_record import (
     KINDS,
     LARGEST_MM2,
     PPI,
@@ -157,7 +157,7 @@ def scaled(template: Template, scale: float) -> Template:
         return template
     rows, columns = (max(1, round(side * scale)) for side in template.valid.shape)
     value = np.asarray(cv2.resize(template.value(), (columns, rows)), dtype=np.float32)
-    valid = np.asarray(cv2.resize(template.valid.astype(np.float32), (columns, rows)) > 0.5)
+    valid = cv2.resize(template.valid.astype(np.float32), (columns, rows)) > 0.5
     larger = replace(leveled(value, valid, template.pitch_mm), kind=template.kind)
     minutiae = template.minutiae
     if minutiae is None:
@@ -191,7 +191,7 @@ def mirrored(template: Template) -> Template:
 def inverted(template: Template) -> Template:
     """The template of the same picture's negative: ridges and valleys change places, and minutiae
     stay where they are."""
-    return replace(template, level=np.where(template.valid, 3 - template.level, 0).astype(np.uint8))
+    return replace(template, level=np.where(template.valid, 3 - template.level, 0))
 
 
 def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> Template:
@@ -303,6 +303,5 @@ def unpack(payload: bytes) -> Template:
     template = Template(
         level.reshape(shape), inside.reshape(shape), pitch_um / 1000, minutiae, KINDS[number], flat
     )
-    known_grid = not (minutiae and minutiae.count) or minutiae.size == print_size(template)
-    require(known_grid, wrong)
+    require(not (minutiae and minutiae.count) or minutiae.size == print_size(template), wrong)
     return template

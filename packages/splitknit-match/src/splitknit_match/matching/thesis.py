@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Annotated
 
 import cv2
@@ -80,13 +79,11 @@ def to_box(image: FloatArray, size: tuple[int, int]) -> FloatArray:
 
 
 NORMALS = ("normal_x", "normal_y", "normal_z")
-ATTRIBUTES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "normals": NORMALS,
-        "relief": ("relief",),
-        "shape_normals": tuple(f"shape_{name}" for name in NORMALS),
-    }
-)
+ATTRIBUTES = {
+    "normals": NORMALS,
+    "relief": ("relief",),
+    "shape_normals": tuple(f"shape_{name}" for name in NORMALS),
+}
 """What is matched, and the channels of each."""
 
 
@@ -143,43 +140,36 @@ class ImageMatch:
 
 def finger_images(
     normals: FloatArray,
-    ridge_mm: FloatArray,
+    shape_normals: FloatArray,
+    relief_mm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
-    input_from_upright: Array | None = None,
     *,
-    upright_size: tuple[int, int] | None = None,
-    shape_normals: FloatArray | None = None,
+    input_from_upright: Array,
+    upright_size: tuple[int, int],
 ) -> FingerImages:
     """Bring normals and relief upright and cut them to the finger.
 
-    `normals`: (H, W, 3) of the fingerprint's surface, in the frame of the images, turned with the
-    picture; `ridge_mm`, `mask`: (H, W); `input_from_upright`: (3, 3), takes (column, row, 1) of the
-    upright frame, of `upright_size` rows and columns, to the input, which is upright where it is
-    missing; `shape_normals`: of the finger without ridges. Raises BadInput if shapes disagree, the
-    mask is empty, or the pitch is not positive.
+    `normals`, `shape_normals`: (H, W, 3) of the finger's surface with and without ridges, in the
+    frame of the images, turned with the picture; `relief_mm`, `mask`: (H, W); `input_from_upright`:
+    (3, 3), takes (column, row, 1) of the upright frame, of `upright_size` rows and columns, to the
+    input. Raises BadInput if shapes disagree, or the mask is empty.
     """
-    mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
-    channels = {"relief": ridge_mm}
+    mask = check_mask(mask, (relief_mm.shape[0], relief_mm.shape[1]))
+    channels = {"relief": relief_mm}
     for prefix, vectors in (("", normals), ("shape_", shape_normals)):
-        if vectors is not None:
-            channels |= {prefix + name: vectors[..., k] for k, name in enumerate(NORMALS)}
+        channels |= {prefix + name: vectors[..., k] for k, name in enumerate(NORMALS)}
     for name, channel in channels.items():
-        channels[name] = np.where(mask & np.isfinite(channel), channel, 0.0).astype(np.float32)
-    if input_from_upright is not None:
-        size = upright_size or (mask.shape[0], mask.shape[1])
-        mask = warp(mask.astype(np.float32), input_from_upright, size) > 0.5
-        require(mask.any(), "the mask lies outside the upright frame.")
-        channels = {
-            name: warp(channel, input_from_upright, size) for name, channel in channels.items()
-        }
-        back = np.linalg.inv(input_from_upright[:2, :2])
-        turn = back / np.sqrt(abs(np.linalg.det(back)))
-        for name_x, name_y in (("normal_x", "normal_y"), ("shape_normal_x", "shape_normal_y")):
-            if name_x in channels:
-                x, y = channels[name_x], channels[name_y]
-                channels[name_x] = (turn[0, 0] * x - turn[0, 1] * y).astype(np.float32)
-                channels[name_y] = (-turn[1, 0] * x + turn[1, 1] * y).astype(np.float32)
+        known = np.where(mask & np.isfinite(channel), channel, 0.0).astype(np.float32)
+        channels[name] = warp(known, input_from_upright, upright_size)
+    mask = warp(mask.astype(np.float32), input_from_upright, upright_size) > 0.5
+    require(mask.any(), "the mask lies outside the upright frame.")
+    back = np.linalg.inv(input_from_upright[:2, :2])
+    turn = back / np.sqrt(abs(np.linalg.det(back)))
+    for prefix in ("", "shape_"):
+        x, y = channels[f"{prefix}normal_x"], channels[f"{prefix}normal_y"]
+        channels[f"{prefix}normal_x"] = (turn[0, 0] * x - turn[0, 1] * y).astype(np.float32)
+        channels[f"{prefix}normal_y"] = (-turn[1, 0] * x + turn[1, 1] * y).astype(np.float32)
     box = bounding_box(mask)
     inside = mask[box]
     cut = {name: np.where(inside, channel[box], 0.0) for name, channel in channels.items()}
@@ -195,9 +185,7 @@ def check_scales(database: float, query: float) -> None:
     )
 
 
-def finger_features(
-    images: FingerImages, settings: ThesisSettings = DEFAULTS
-) -> dict[str, FloatArray]:
+def finger_features(images: FingerImages, settings: ThesisSettings) -> dict[str, FloatArray]:
     """Feature vector of each channel that `settings` name, for a finger of the database that is
     compared often.
 

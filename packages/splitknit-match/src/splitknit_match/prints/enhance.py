@@ -69,7 +69,7 @@ def gabor_enhance(
     # steepness of the grey curve: 0.5 is soft, 3 nearly black and white
     grey = 0.5 - 0.5 * np.tanh(2.0 * wave)  # dark = 1 on ridges
     printed = np.round(255.0 * (1.0 - grey * np.clip(4.0 * soft - 1.5, 0.0, 1.0))).astype(np.uint8)
-    return Enhanced(printed, np.where(mask, wave, 0.0).astype(np.float32), mask, field)
+    return Enhanced(printed, np.where(mask, wave, 0.0), mask, field)
 
 
 def _wave_vectors(field: RidgeField) -> tuple[FloatArray, FloatArray]:
@@ -111,9 +111,7 @@ def node_amplitudes(
     def work(part: slice) -> None:
         patch = windows[cells[0][part], cells[1][part]]
         envelope = np.exp(-0.5 * (offset / sigma[part, None]) ** 2)
-        across, down = (
-            (envelope * np.exp(-1j * k[part, None] * offset)).astype(np.complex64) for k in (kx, ky)
-        )
+        across, down = (envelope * np.exp(-1j * k[part, None] * offset) for k in (kx, ky))
         plain = envelope / envelope.sum(axis=1, keepdims=True)
         # patch (N, s, s) times real columns (N, s, 3): faster than complex ones
         columns = np.stack([across.real, across.imag, plain], axis=2)
@@ -135,10 +133,7 @@ def _plane_waves(coefficients: NDArray[np.complex64], field: RidgeField) -> Floa
     # a node's wave covers the two cells beside it along each axis
     offset = np.arange(2 * step, dtype=np.float32) - (step - 0.5)
     tent = 1.0 - np.abs(offset) / step
-    x, y = (
-        (tent * np.exp(1j * k[..., None] * offset)).astype(np.complex64)
-        for k in _wave_vectors(field)
-    )
+    x, y = (tent * np.exp(1j * k[..., None] * offset) for k in _wave_vectors(field))
     y *= coefficients[..., None]
     # real part of the outer product, (n, 2 s, m, 2 s)
     tiles = np.einsum("nmi,nmj->nimj", y.real, x.real) - np.einsum("nmi,nmj->nimj", y.imag, x.imag)

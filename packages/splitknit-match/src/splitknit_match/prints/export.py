@@ -26,7 +26,7 @@ from splitknit.io.light_list import write_light_list
 from splitknit.io.prints import provenance_texts
 from splitknit.io.provenance import file_hash, json_text, provenance
 from splitknit.io.targets import check_target
-from splitknit.model import Progress, no_progress
+from splitknit.model import Progress
 from splitknit_match.prints.from_file import (
     coded_finger,
     finger_view,
@@ -36,13 +36,14 @@ from splitknit_match.prints.from_file import (
     read_print_folder,
 )
 from splitknit_match.prints.make import Print, enhance, make_print, measured, minutiae_by_phase
-from splitknit_match.prints.minutiae_record import PPI, no_minutiae
 from splitknit_match.prints.sources import read_source
 from splitknit_match.records.minutiae_record import (
     FINGER_CODES,
     IMPRESSIONS,
+    PPI,
     VENDOR_UNKNOWN,
     FingerView,
+    no_minutiae,
 )
 from splitknit_match.records.pictures import PrintFile
 from splitknit_match.records.print_formats import FORMATS, WSQ_PPI, PrintFormat, Writing
@@ -82,10 +83,10 @@ def export_records(
     impression: str | None = None,
     compression: str = "none",
     owner: int = VENDOR_UNKNOWN,
-    resolution_ppi: float | None = None,
-    ridges: str | None = None,
+    resolution_ppi: float | None,
+    ridges: str | None,
     preset: str = "metric",
-    progress: Progress = no_progress,
+    progress: Progress,
 ) -> Facts:
     """Write fingers in a format of other systems, one file each, all or none; return the facts of
     ``export.json``.
@@ -142,9 +143,9 @@ def export_surfaces(
     out: Path,
     to: str,
     *,
-    preset: str = "metric",
-    base_mm: float | None = None,
-    progress: Progress = no_progress,
+    preset: str,
+    base_mm: float | None,
+    progress: Progress,
 ) -> Facts:
     """Write the surfaces of captures and results, or the lights of captures (`to` lp); as
     :func:`export_records`."""
@@ -177,7 +178,7 @@ def _exported(
     for source in sources:
         check_target(out, FACTS_FILE, "an earlier export", keep=source)
     rows: list[Facts] = []
-    findings: list[Finding] = []
+    findings = []
     hashes: dict[str, str] = {}
     with atomic_folder(out) as folder:
         for number, source in enumerate(sources):
@@ -294,9 +295,8 @@ def _surface(source: Path, preset: str, hashes: dict[str, str]) -> tuple[Reconst
         capture = read_capture(source)
         hashes.update(capture.hashes)
         return naming(source, lambda: reconstruct(capture, preset)), {"kind": "capture"}
-    named = arrays.suffix.lower() == ".npz" and arrays.is_file()
     require(
-        named,
+        arrays.suffix.lower() == ".npz" and arrays.is_file(),
         f"'{source}' has no surface to export; name a result (height.npz) or a capture"
         " (capture.json).",
     )

@@ -36,12 +36,12 @@ from splitknit.model import BoolArray, FloatArray, GreyArray, PixelArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM, ridge_period_px
-from splitknit_match.prints.minutiae_record import PPI
 from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo, fraction_of_skin
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, plane_map, resample
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
+from splitknit_match.records.minutiae_record import PPI
 from splitknit_match.records.pictures import is_coloured
 
 PHOTOGRAPH = "fingerphoto"
@@ -101,7 +101,7 @@ class FingerPhoto:
 
 def read_fingerphoto(
     path: str | os.PathLike[str],
-    px_per_mm: float | None = None,
+    px_per_mm: float | None,
     where: PhotoFinger | None = None,
     photo: Photo | None = None,
 ) -> FingerPhoto:
@@ -388,9 +388,7 @@ def _unrolled(inside: BoolArray, upright: Upright, step: float) -> PrintMap:
     across = (size[1] // 2 - np.arange(size[1])) * step / radius  # mirrored, as paper shows it
     at = np.sign(across) * np.interp(np.abs(across), arc, turn)
     places = np.stack(np.broadcast_arrays(centre + radius * np.sin(at), row + known[0]), axis=-1)
-    places = cv2.transform(places.astype(np.float32), upright.input_from_upright[:2]).astype(
-        np.float32
-    )
+    places = cv2.transform(places.astype(np.float32), upright.input_from_upright[:2])
     print_columns, print_rows = np.where(
         np.abs(at) < steepest, np.moveaxis(places, -1, 0), np.float32(NOWHERE)
     )

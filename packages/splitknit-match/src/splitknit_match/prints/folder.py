@@ -18,7 +18,7 @@ from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
-from splitknit.model import GreyArray, Progress, no_progress
+from splitknit.model import GreyArray, Progress
 from splitknit_match.prints.fingerphoto import FingerPhoto
 from splitknit_match.prints.from_file import (
     contact_print,
@@ -27,10 +27,10 @@ from splitknit_match.prints.from_file import (
     read_one_finger,
 )
 from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
-from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.sources import Source
 from splitknit_match.records.minutiae_files import encode_minutiae_record
+from splitknit_match.records.minutiae_record import PPI, Minutiae
 from splitknit_match.records.pictures import PrintFile
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ def write_print(
     printed: Print,
     *,
     method: str,
-    around: Rolled | None = None,
-    progress: Progress = no_progress,
+    around: Rolled | None,
+    progress: Progress,
 ) -> Facts:
     """Enhance a print and write all its files; return the facts of ``report.json``.
 
@@ -85,7 +85,7 @@ def write_print(
         impression = "live_plain" if method == "file" else "contactless"
         view = finger_view(minutiae, score, source.subject.get("finger"), impression)
         write_file(target / "minutiae.iso", encode_minutiae_record(view))
-        facts: Facts = {
+        facts = {
             "method": method,
             "surface": place,
             "source": {
@@ -128,7 +128,7 @@ def write_print(
 
 
 def print_of_file(
-    path: Path, resolution_ppi: float | None, ridges: str | None = None
+    path: Path, resolution_ppi: float | None, ridges: str | None
 ) -> tuple[Source, Print]:
     """The only print of a file. Raises BadInput, naming it, if it holds minutiae or has no
     ridges."""
@@ -229,7 +229,7 @@ def _quality_facts(
     from splitknit_match.prints.minutiae import NFIQ2_FAILED, nfiq2  # large, and not everywhere
 
     figures = asdict(quality.figures)
-    facts: Facts = {
+    facts = {
         "nfiq2": None,
         "ours": round(quality.score, 1),
         "figures": {

@@ -21,12 +21,17 @@ from splitknit.imaging.pixels import bin_mean
 from splitknit.model import BoolArray, FloatArray, GreyArray
 from splitknit_match.prints.make import Print
 from splitknit_match.prints.minutiae import at_500_ppi, is_a_fingers
-from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges, usual_contrast
 from splitknit_match.prints.print_map import PrintMap, plane_map
 from splitknit_match.prints.ridge_field import closed_opened
 from splitknit_match.records.minutiae_files import read_minutiae_record
-from splitknit_match.records.minutiae_record import FINGER_CODES, RESOLUTION_500_PPI, FingerView
+from splitknit_match.records.minutiae_record import (
+    FINGER_CODES,
+    PPI,
+    RESOLUTION_500_PPI,
+    FingerView,
+    Minutiae,
+)
 from splitknit_match.records.pictures import PrintFile, read_print_png
 from splitknit_match.records.print_formats import read_prints
 
@@ -188,7 +193,7 @@ def _tile_waves(
     down, right = np.meshgrid(np.fft.fftfreq(_TILE_PX), np.fft.rfftfreq(_TILE_PX), indexing="ij")
     radius = np.hypot(down, right)
     mean = np.tensordot(tiles, taper, 2) / taper.sum()
-    power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)).astype(np.float32) ** 2
+    power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)) ** 2
     power *= radius >= 1.5 / _TILE_PX
     # each wave is there twice, but those of the first column, which are halved
     power[..., 1:] *= 2.0
@@ -208,10 +213,10 @@ def _tile_waves(
         (weight * down[:, None]).sum(axis=0), (weight * right[:, None]).sum(axis=0)
     )
     in_band = (radius[best] >= 1 / 11.5) & (radius[best] <= 1 / 4.9) & (frequency > 1 / 11.5)
-    purity = np.where(in_band, np.minimum(near.max(axis=0) / total, 1), 0).astype(np.float32)
+    purity = np.where(in_band, np.minimum(near.max(axis=0) / total, 1), 0)
     turn = (np.exp(2j * np.arctan2(down[best], right[best])) * purity).astype(np.complex64)
     period = (1.0 / np.maximum(frequency, 1e-3)).astype(np.float32)
-    return purity, period, turn, (np.sqrt(total) / (taper.sum() * 0.6)).astype(np.float32)
+    return purity, period, turn, np.sqrt(total) / (taper.sum() * 0.6)
 
 
 def prepared(item: PrintFile, ridges: str | None = None) -> PrintFile:
@@ -399,9 +404,7 @@ def ridge_period_px(image: GreyArray) -> float | None:
     return period
 
 
-def finger_view(
-    minutiae: Minutiae, quality: float, finger: object = "unknown", impression: str = "unknown"
-) -> FingerView:
+def finger_view(minutiae: Minutiae, quality: float, finger: object, impression: str) -> FingerView:
     """Minutiae of 500 ppi as a record has them; a finger that records have no code for is
     ``unknown``."""
     return FingerView(

@@ -13,12 +13,12 @@ from splitknit.finger.ridges import ink
 from splitknit.model import FloatArray, GreyArray
 from splitknit_match.prints.curvature import curvature
 from splitknit_match.prints.enhance import Enhanced, gabor_enhance
-from splitknit_match.prints.minutiae_record import Minutiae
 from splitknit_match.prints.phase_minutiae import by_phase
 from splitknit_match.prints.print_map import PrintMap, plane_map, resample, unrolled_map
 from splitknit_match.prints.print_quality import PrintQuality, print_quality
 from splitknit_match.prints.sources import Source
 from splitknit_match.prints.unroll import KINDS, surface_grid, unroll
+from splitknit_match.records.minutiae_record import Minutiae
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +114,7 @@ def enhance(printed: Print) -> Enhanced:
 
 def measured(printed: Print, enhanced: Enhanced) -> PrintQuality:
     """How good a print is; `enhanced` is what :func:`enhance` made of it."""
-    values = (1000.0 * printed.values).astype(np.float32) if printed.in_mm else printed.values
+    values = 1000.0 * printed.values if printed.in_mm else printed.values
     return print_quality(
         values, printed.weight, enhanced.field, printed.map.ppi, in_um=printed.in_mm
     )

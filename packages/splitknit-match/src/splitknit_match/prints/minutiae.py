@@ -15,7 +15,8 @@ import numpy as np
 
 from splitknit.errors import importing, require
 from splitknit.model import FloatArray, GreyArray
-from splitknit_match.prints.minutiae_record import (
+from splitknit_match.prints.ridge_field import closed_opened, outline_distance_mm
+from splitknit_match.records.minutiae_record import (
     BIFURCATION,
     ENDING,
     LARGEST_MM2,
@@ -23,7 +24,6 @@ from splitknit_match.prints.minutiae_record import (
     Minutiae,
     no_minutiae,
 )
-from splitknit_match.prints.ridge_field import closed_opened, outline_distance_mm
 
 # How far inside a print its minutiae lie.
 #
@@ -57,20 +57,14 @@ _MINDTCT_SIDE_PX = 64
 whole process."""
 
 
-def extract(
-    print_image: GreyArray, ppi: float = PPI, enhance: bool = False, *,
-    edge_mm: float | None = None,
-) -> Minutiae:  # fmt: skip
+def extract(print_image: GreyArray, ppi: float = PPI, *, edge_mm: float = EDGE_MM) -> Minutiae:
     """Find the minutiae of a print (H, W) uint8, ridges dark, with mindtct: at most 150, by column
     and row.
 
     None where there are no ridges: a failure to acquire. Other resolutions than 500 ppi are
-    resampled first. `enhance`: whether the print is enhanced first, or its enhancement, for prints
-    pressed on glass or paper; relief prints of reconstructions, whose contrast is even, are taken
-    as they are. Minutiae nearer to the print's outline than `edge_mm` are left out, for there every
-    ridge ends: by default :data:`EDGE_MM`, and half of it after
-    `enhance`, as pressed prints fade out. Raises BadInput if the image or the resolution is of
-    another kind, or `nbis-py` is not installed.
+    resampled first. Minutiae nearer to the print's outline than `edge_mm` are left out, for there
+    every ridge ends. Raises BadInput if the image or the resolution is of another kind, or
+    `nbis-py` is not installed.
 
     Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007:
     MINDTCT.
@@ -78,13 +72,6 @@ def extract(
     image = at_500_ppi(print_image, ppi)
     if min(image.shape) < _MINDTCT_SIDE_PX:
         return no_minutiae(image.shape)
-    pressed = None
-    if enhance:
-        # a comparison of templates needs none of it
-        from splitknit_match.prints.pressed import pressed_ridges
-
-        pressed = pressed_ridges(image)
-        image = pressed.image
     with _LOCK:
         minutiae = extractor(False).extract_minutiae(_png(image)).get()
     rows = [(m.x(), m.y(), m.angle(), m.kind().value, m.reliability()) for m in minutiae]
@@ -101,13 +88,7 @@ def extract(
         np.clip(np.round(100 * reliability), 0, 100).astype(np.uint8),
         image.shape,
     )
-    if edge_mm is None:
-        # pressed prints fade out towards their outline
-        edge_mm = EDGE_MM if pressed is None else 0.3
-    distance_mm = (
-        edge_distance_mm(image) if pressed is None else outline_distance_mm(pressed.inside, PPI)
-    )
-    return every.taken(distance_mm[every.y_px, every.x_px] >= edge_mm)
+    return every.taken(edge_distance_mm(image)[every.y_px, every.x_px] >= edge_mm)
 
 
 def nfiq2(print_image: GreyArray, ppi: float = PPI) -> int:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from splitknit.imaging.geometry import sampled_at
 from splitknit.model import Array, FloatArray, GreyArray
 from splitknit_match.prints.enhance import Enhanced
-from splitknit_match.prints.minutiae_record import BIFURCATION, ENDING, Minutiae
 from splitknit_match.prints.ridge_field import outline_distance_mm
+from splitknit_match.records.minutiae_record import BIFURCATION, ENDING, Minutiae
 
 _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))
 """Corners of a square of pixels, row and column, counter-clockwise as displayed. Source:

@@ -58,7 +58,7 @@ class Outline:
     def turned(self, vectors: Array) -> Array:
         """Vectors (N, 2) of the model, x to the right and y back from the tip, as the picture has
         them."""
-        return np.asarray(vectors[:, :1] * self.right - vectors[:, 1:] * self.ahead)
+        return vectors[:, :1] * self.right - vectors[:, 1:] * self.ahead
 
     def places(self, vectors: Array) -> Array:
         """(N, 2) places in the picture of the model's vectors (N, 2), widths."""
@@ -147,7 +147,7 @@ def finger_in_photo(
 
     fine = _lab(part)
     lab = reduce_image(fine, _FIT_PX / max(fine.shape))
-    rated: list[tuple[float, Outline]] = []
+    rated = []
     for candidate in _candidates(reduce_image(fine, _SEARCH_PX / max(fine.shape))):
         outline = _fitted(candidate, lab, _RATED_LENGTH, 0.3)
         outline = _fitted(outline, lab, _RATED_LENGTH, 0.2)
@@ -435,7 +435,7 @@ def _resemblance(outline: Outline, lab: FloatArray, length: float, reach: float)
 
     def density(region: BoolArray) -> FloatArray:
         counts = cv2.calcHist(*picture, region.view(np.uint8), [32] * 3, ranges)
-        return np.asarray(gaussian_filter(counts / max(int(region.sum()), 1), 1.0))
+        return gaussian_filter(counts / max(int(region.sum()), 1), 1.0)
 
     inside = density(within(1 - reach))
     around = density(within(2.4) & ~within(1 + reach, 0.2 * reach))

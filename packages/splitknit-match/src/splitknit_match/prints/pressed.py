@@ -290,7 +290,7 @@ def _evened(image: GreyArray, sigma: float) -> tuple[FloatArray, FloatArray]:
     centred, weight = without_shading(grey, known, sigma)
     contrast = np.sqrt(_mean(centred * centred, sigma) / weight)
     level = np.maximum(_MIN_LEVEL, _RAISED * usual_contrast(contrast))
-    return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast
+    return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0), contrast
 
 
 def usual_contrast(contrast: FloatArray) -> np.float32:
@@ -412,7 +412,7 @@ def _field(
     # logarithm of the print's frequency
     own = float((votes**4 * _LOGS).sum() / max(float((votes**4).sum()), 1e-30))
     spread = _PERIOD_SPREAD if expected is None else 0.2
-    usual = (np.exp(-0.5 * ((_LOGS - own) / spread) ** 2) + 0.05).astype(np.float32)
+    usual = np.exp(-0.5 * ((_LOGS - own) / spread) ** 2) + 0.05
     evidence = evidence @ usual
     strength = evidence.sum(axis=2, keepdims=True) + 1e-12
     turn = np.exp(-0.5 * (_apart(_ANGLES[:, None], _ANGLES) / _TURN_SIGMA) ** 2).astype(np.float32)
@@ -426,14 +426,14 @@ def _field(
     belief /= belief.sum(axis=2, keepdims=True) + 1e-12
     number = (belief.argmax(axis=2)[..., None] + np.arange(-3, 4)) % _DIRECTIONS
     peak = np.take_along_axis(belief, number, axis=2)
-    direction = 0.5 * np.angle((peak * np.exp(2j * _ANGLES[number])).sum(axis=2)).astype(np.float32)
-    agreement = np.abs((belief * np.exp(2j * _ANGLES)).sum(axis=2)).astype(np.float32)
+    direction = 0.5 * np.angle((peak * np.exp(2j * _ANGLES[number])).sum(axis=2))
+    agreement = np.abs((belief * np.exp(2j * _ANGLES)).sum(axis=2))
     near = np.exp(-0.5 * (_apart(direction[..., None], _ANGLES) / (1.5 * _DIRECTION_SIGMA)) ** 2)
     along = np.matmul(near.astype(np.float32)[:, :, None], weighed)[:, :, 0]
     period = blur(along * usual * trust[..., 0], 1.5) ** 2
     frequency = (period @ _LOGS) / (period.sum(axis=2) + 1e-20)
     near_period = np.exp(-0.5 * ((frequency[..., None] - _LOGS) / (2 * _PERIOD_SIGMA)) ** 2)
-    return direction, frequency, agreement, (along * near_period).sum(axis=2).astype(np.float32)
+    return direction, frequency, agreement, (along * near_period).sum(axis=2)
 
 
 def _filtered(

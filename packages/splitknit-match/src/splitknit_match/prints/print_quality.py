@@ -64,8 +64,8 @@ def _waves(
 ) -> tuple[NDArray[np.complex64], NDArray[np.complex64], FloatArray]:
     """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a
     wave explains."""
-    inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
-    centred = np.where(inside > 0, values, 0.0).astype(np.float32)
+    inside = np.clip(weight, 0.0, 1.0)
+    centred = np.where(inside > 0, values, 0.0)
     centred, _ = without_shading(centred, inside, _SMOOTH_MM * px)
     twice = replace(sampled, frequency_px=2.0 * sampled.frequency_px)
     first = node_amplitudes(centred, sampled, _WAVE_SIGMA_PERIODS)
@@ -74,10 +74,10 @@ def _waves(
     covered = np.maximum(gaussian_mean(inside, width), 0.3)
     variance = sampled.at_nodes(gaussian_mean(centred * centred, width) / covered)
     fraction = sampled.at_nodes(covered)
-    first = (first / fraction).astype(np.complex64)
-    second = (second / fraction).astype(np.complex64)
+    first = first / fraction
+    second = second / fraction
     purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, 1e-12)
-    return first, second, np.where(sampled.mask, np.clip(purity, 0.0, 1.0), 0.0).astype(np.float32)
+    return first, second, np.where(sampled.mask, np.clip(purity, 0.0, 1.0), 0.0)
 
 
 def _sharpness(first: NDArray[np.complex64], second: NDArray[np.complex64]) -> float:

@@ -80,7 +80,7 @@ def ridge_field(
     if inside is None:
         inside = np.ones(image.shape, dtype=bool)
     nodes = np.pad(inside, ((0, below), (0, beside))).reshape(n, step, m, step)
-    mask: BoolArray = np.asarray(nodes.any(axis=(1, 3)))
+    mask = np.asarray(nodes.any(axis=(1, 3)))
     require(mask.any(), NO_RIDGES)
     coherence = np.hypot(narrow[1], narrow[2]) / np.maximum(narrow[0], 1e-6)
     trust = coherence**4
@@ -98,7 +98,7 @@ def ridge_field(
     return RidgeField(
         step,
         orientation.astype(np.float32),
-        np.clip(coherence, 0, 1).astype(np.float32),
+        np.clip(coherence, 0, 1),
         frequency,
         mask,
     )
@@ -193,10 +193,8 @@ def _frequencies(
     value[wanted] = frequency
     around = _blur(trust, 1.5)
     smooth = _blur(trust * value, 1.5) / np.maximum(around, 1e-9)
-    smooth = np.where(around > 0.01, smooth, np.median(frequency[sure])).astype(np.float32)
-    large = cv2.resize(smooth, (2 * columns, 2 * rows), interpolation=cv2.INTER_LINEAR).astype(
-        np.float32
-    )
+    smooth = np.where(around > 0.01, smooth, np.median(frequency[sure]))
+    large = cv2.resize(smooth, (2 * columns, 2 * rows), interpolation=cv2.INTER_LINEAR)
     near = (
         cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8))
         .repeat(2, axis=0)

@@ -124,7 +124,7 @@ def surface_grid(
 
 def moved(matrix: FloatArray, points: NDArray[Any]) -> Array:
     """Points (..., 2; column, row) by a matrix (3, 3) on (column, row, 1)."""
-    return np.asarray(points @ matrix[:2, :2].T + matrix[:2, 2])
+    return points @ matrix[:2, :2].T + matrix[:2, 2]
 
 
 def extrapolated(values: Array, rings: int) -> Array:

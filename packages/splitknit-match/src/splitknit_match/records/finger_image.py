@@ -8,15 +8,16 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import require
-from splitknit.io.images import decode_image
+from splitknit.io.images import decode_image, decoded
 from splitknit.io.prints import encode_print_png
 from splitknit.model import GreyArray
 from splitknit_match.records.fmr_bytes import Cursor, check_length
-from splitknit_match.records.jpeg2000_image import decode_jpeg2000, encode_jpeg2000
 from splitknit_match.records.minutiae_record import (
     ANSI_2004_IMPRESSIONS,
     FINGER_CODES,
@@ -99,11 +100,11 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
         data[:4] == MAGIC,
         f"{name} is not a finger image record (they begin with 'FIR'); name another file.",
     )
-    fault = (
+    require(
+        data[4:8] == _V2005,
         f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 (of 2005) is"
-        " read: convert it."
+        " read: convert it.",
     )
-    require(data[4:8] == _V2005, fault)
     cursor = Cursor(data, name, 8)
     check_length(data, int.from_bytes(cursor.take(6, "its header"), "big"), name)
     _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
@@ -133,8 +134,10 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
         left -= image.size
         position = name_of(finger, FINGER_CODES, f"finger position of {where}")
         prints.append(PrintFile(image, ppi, {}, position, impression_of(impression, _IMPRESSIONS)))
-    more = f"{name} is damaged: it holds no image, or more than {_MAX_IMAGES}."
-    require(prints and cursor.place == len(data), more)
+    require(
+        prints and cursor.place == len(data),
+        f"{name} is damaged: it holds no image, or more than {_MAX_IMAGES}.",
+    )
     return tuple(prints)
 
 
@@ -164,8 +167,8 @@ def decode_print(
     compression: str,
     name: str,
     *,
-    size: tuple[int, int] | None = None,
-    limit: int = MAX_PIXELS,
+    size: tuple[int, int] | None,
+    limit: int,
 ) -> GreyArray:
     """Decode a print as records hold it: ``none``, ``wsq``, ``jp2`` or a picture file, of at most
     `limit` pixels.
@@ -224,3 +227,43 @@ def encode_print(image: GreyArray, ppi: float, compression: str) -> bytes:
         if compression == "png"
         else np.ascontiguousarray(image).tobytes()
     )
+
+
+_SMALLEST = 32
+"""Pixels of a print's shorter side at least. Source: JPEG 2000, five halvings."""
+
+
+def encode_jpeg2000(image: NDArray[np.uint8]) -> bytes:
+    """Compress a print (H, W) uint8 as JPEG 2000 (a JP2 file) without loss; BadInput below 32
+    pixels a side."""
+    require(
+        min(image.shape) >= _SMALLEST,
+        f"a print of {image.shape[0]} x {image.shape[1]} pixels is too small for JPEG 2000; choose"
+        " PNG.",
+    )
+    return cv2.imencode(".jp2", image, [cv2.IMWRITE_JPEG2000_COMPRESSION_X1000, 1000])[1].tobytes()
+
+
+def decode_jpeg2000(data: bytes, name: str, max_pixels: int) -> NDArray[np.uint8]:
+    """Decode a print (H, W) of JP2 or its code stream. BadInput if damaged, not 8-bit grey, or
+    above `max_pixels`."""
+    start = data.find(b"\xff\x4f\xff\x51")  # the code stream begins with its sizes
+    head = data[start + 8 : start + 43]
+    require(
+        start >= 0 and len(head) == 35,
+        f"{name} is not a JPEG 2000 image, or truncated; copy it again.",
+    )
+    right, down, left, up, *_, components = struct.unpack_from(">IIIIIIIIH", head)
+    rows = down - up
+    columns = right - left
+    require(
+        rows > 0 and columns > 0 and rows * columns <= max_pixels,
+        f"{name} claims {rows} x {columns} pixels.",
+    )
+    require(components == 1 and head[34] == 7, f"{name} is not 8-bit grey; convert it.")
+    image = decoded(data, name)
+    require(
+        image.shape == (rows, columns, 1) and image.dtype == np.uint8,
+        f"{name} is damaged; copy it again.",
+    )
+    return image[..., 0]

@@ -137,7 +137,7 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
     generation = document["versionBlock"]["generation"]
     require(generation == _GENERATION, f"{name} is of generation {generation}; 3 is read.")
     require(blocks, f"{name} holds no image.")
-    prints: list[PrintFile] = []
+    prints = []
     left = MAX_PIXELS
     for number, block in enumerate(blocks, start=1):
         what = f"image {number} of {name}"

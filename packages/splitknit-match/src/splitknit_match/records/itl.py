@@ -75,11 +75,11 @@ _MAX_RECORDS = 1000  # of a transaction
 
 def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
     """Type and bytes of each record, by the lengths that they state."""
-    fault = (
+    require(
+        _START.match(data) is not None,
         f"{name} is not an ANSI/NIST-ITL transaction (it does not begin with '1.001:'); name"
-        " another file."
+        " another file.",
     )
-    require(_START.match(data) is not None, fault)
     kinds: list[int] = []
     place = 0
     for count in range(_MAX_RECORDS + 1):
@@ -128,7 +128,7 @@ def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
 
 def _fields(record: bytes) -> dict[int, bytes]:
     """Contents of a tagged record's fields by their numbers; the image is the last, 999."""
-    fields: dict[int, bytes] = {}
+    fields = {}
     place, end = 0, len(record) - len(_RECORD_END)
     while place < end:
         tag = _TAG.match(record, place)
@@ -197,11 +197,11 @@ def _checked(item: PrintFile, name: str) -> PrintFile:
         f"{name} has {rows} x {columns} pixels; a print has 10 each way at least.",
     )
     ppi = item.resolution_ppi or 0.0
-    fault = (
+    require(
+        _MIN_PPI <= ppi <= _MAX_PPI,
         f"{name}: a print of a transaction has {_MIN_PPI:g} to {_MAX_PPI:g} ppi, not {ppi:g};"
-        " resample it."
+        " resample it.",
     )
-    require(_MIN_PPI <= ppi <= _MAX_PPI, fault)
     return item
 
 
@@ -213,9 +213,9 @@ def _text(fields: _Fields, field: int, name: str) -> str:
 
 def _number(fields: _Fields, field: int, name: str) -> int:
     text = _text(fields, field, name)
-    fault = (
+    require(
+        text.isascii() and text.isdecimal() and len(text) <= 5,
         f"{name} has {text[:20]!a} for the field {field}, where a whole number of at most 5 digits"
-        " is expected."
+        " is expected.",
     )
-    require(text.isascii() and text.isdecimal() and len(text) <= 5, fault)
     return int(text)

@@ -96,11 +96,11 @@ def encode_minutiae_record(
             finger, 0, code, view.finger_quality, owner, 1, *image, view.count
         )
     else:
-        fault = (
+        require(
+            standard != ISO_2005 or min(resolution) >= _MIN_RESOLUTION,
             f"{standard} needs at least {_MIN_RESOLUTION} pixels per cm, but the image has"
-            f" {min(resolution)}."
+            f" {min(resolution)}.",
         )
-        require(standard != ISO_2005 or min(resolution) >= _MIN_RESOLUTION, fault)
         head += _IMAGE.pack(0, columns, rows, *resolution)
         view_head = _VIEW.pack(finger, code, view.finger_quality, view.count)
     body = head + _COUNTS.pack(1, 0) + view_head + minutiae + _SHORT.pack(0)
@@ -137,9 +137,8 @@ def decode_minutiae_record(data: bytes, name: str = "the record") -> tuple[Finge
         cursor.unpack(_DEVICE, what)
     else:
         _, *image = cursor.unpack(_IMAGE, what)
-        sound = standard != ISO_2005 or min(image[2:]) >= _MIN_RESOLUTION
         require(
-            sound,
+            standard != ISO_2005 or min(image[2:]) >= _MIN_RESOLUTION,
             f"{name}: the resolution is {image[2]} x {image[3]} pixels per cm, but {standard}"
             f" requires {_MIN_RESOLUTION} at least; its producer does not keep to the standard.",
         )
@@ -224,8 +223,10 @@ def _decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[
         not (table["y"] >> 14).any(),
         f"{name}: the reserved bits of a minutia of {what} are not zero.",
     )
-    sound = int(table["direction"].max(initial=0)) < steps
-    require(sound, f"{name}: the direction of a minutia of {what} is not one of {steps} steps.")
+    require(
+        int(table["direction"].max(initial=0)) < steps,
+        f"{name}: the direction of a minutia of {what} is not one of {steps} steps.",
+    )
     return {
         "x_px": (table["x"] & 0x3FFF).astype(np.int32),
         "y_px": table["y"].astype(np.int32),

@@ -117,7 +117,7 @@ def is_coloured(pixels: NDArray[Any]) -> bool:
 
 
 def encode_print_tiff(
-    image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None
+    image: NDArray[np.uint8], ppi: float, text: Mapping[str, str] | None = None
 ) -> bytes:
     """A print (H, W) uint8 as uncompressed TIFF, `text` as JSON in its description; BadInput if of
     another kind."""

@@ -43,7 +43,7 @@ def surface_bytes(
         visual = trimesh.visual.ColorVisuals(vertex_colors=np.insert(colours, 3, 255, axis=1))
     facts = {"vertices": len(mesh.places), "faces": len(mesh.faces), "unit": "mm"}
     words = {"title": title, "axes": axes_of(result.facts.get("material"))}
-    body: Any = trimesh.Trimesh(
+    body = trimesh.Trimesh(
         mesh.places * (0.001 if kind == "glb" else 1.0),
         mesh.faces,
         vertex_normals=mesh.normals,
@@ -73,7 +73,7 @@ def _solid(result: Reconstruction, base_mm: float) -> Mesh:
     while True:
         top = mesh_of(result)
         require(len(top.faces) > 0, _NO_SURFACE)
-        sides: Any = Trimesh(top.places, top.faces, process=False)
+        sides = Trimesh(top.places, top.faces, process=False)
         border = sides.edges[group_rows(sides.edges_sorted, require_count=1)]
         crossing = np.bincount(border[:, 0], minlength=len(top.places)) > 1
         if not crossing.any():

@@ -175,10 +175,14 @@ def _wsq_header(data: bytes, name: str) -> tuple[int, int, int | None]:
         f"{name} is not a WSQ file (they begin with FF A0); name another file.",
     )
     frame, block = data.find(_FRAME), data.find(_BLOCK)
-    whole = 0 < frame < block < data.rfind(_END)
-    require(whole, f"{name} is truncated or damaged: its WSQ image is not whole; copy it again.")
+    require(
+        0 < frame < block < data.rfind(_END),
+        f"{name} is truncated or damaged: its WSQ image is not whole; copy it again.",
+    )
     rows, columns = _SIZE.unpack_from(data, frame)
-    fault = f"{name} claims {rows} x {columns} pixels; prints have up to {_MAX_WSQ_PIXELS}."
-    require(0 < rows * columns <= _MAX_WSQ_PIXELS, fault)
+    require(
+        0 < rows * columns <= _MAX_WSQ_PIXELS,
+        f"{name} claims {rows} x {columns} pixels; prints have up to {_MAX_WSQ_PIXELS}.",
+    )
     stated = _PPI_LINE.findall(data[:block])
     return rows, columns, int(stated[-1]) if stated else None

@@ -3,7 +3,7 @@ the finger."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,11 +16,11 @@ from splitknit.imaging.geometry import smoothed
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.mirror import SQUARENESS
 from splitknit.mirrors.reflection import Glass
-from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray, Progress, no_progress
 from splitknit.observation.observe import observe
 from splitknit.skin.grid import smooth_step
 from splitknit.skin.images import MetricSettings
-from splitknit_match.rolled.chart import Chart, crossing, surface_normals
+from splitknit_match.rolled.chart import Chart, Sight, crossing, surface_normals
 from splitknit_match.rolled.register import (
     MIN_CORRELATION,
     ViewRidges,
@@ -28,7 +28,6 @@ from splitknit_match.rolled.register import (
     ridges_of,
     search,
 )
-from splitknit_match.rolled.sight import Sight
 from splitknit_match.rolled.views import MirrorViews, ViewRelief, view_relief
 
 
@@ -244,7 +243,7 @@ def rolled_finger(
     capture: Capture,
     views: MirrorViews,
     settings: MetricSettings,
-    progress: Callable[[str, float], None] = lambda stage, fraction: None,
+    progress: Progress = no_progress,
 ) -> Rolled:
     """One finger from its front and its mirrors. `capture`: with the white band; `views`: its front
     and a mirror beside the finger at least.

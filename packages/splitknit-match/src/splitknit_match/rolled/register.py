@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from splitknit.imaging.geometry import sampled_at, smoothed
 from splitknit.imaging.view import pixels_of
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_match.rolled.chart import Chart
-from splitknit_match.rolled.sight import Sight
+from splitknit_match.rolled.chart import Chart, Sight
 
 # Ridges by themselves: a relief without what is smooth in it.
 
@@ -26,7 +25,7 @@ from splitknit_match.rolled.sight import Sight
 def ridges_of(relief: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
     """(n, m) relief less its local mean over `known`, zero elsewhere."""
     mean = smoothed(relief, known, 0.32 / pitch_mm)  # mm: the ridge band of this package
-    return np.where(known, relief - mean, 0.0).astype(np.float32)
+    return np.where(known, relief - mean, 0.0)
 
 
 def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
@@ -164,7 +163,7 @@ class _Part:
         )
         every, knots = _knots(chart)
         down, across = (_hats(n, every, k) for n, k in zip(chart.shape, knots, strict=True))
-        weights: Any = scipy.sparse.kron(scipy.sparse.csr_array(down), across)
+        weights = scipy.sparse.kron(scipy.sparse.csr_array(down), across)
         self.spread: Any = weights.tocsr()[self.rows * chart.shape[1] + self.columns]
         band = _evened(mirror.band, mirror.known, chart.pitch_mm)
         self.fields = band, np.gradient(band, axis=1), np.gradient(band, axis=0)
@@ -182,9 +181,7 @@ class _Part:
         score = _correlation(seen, self.target)
         jacobian = across[:, None] * self.modes[:, 0] + down[:, None] * self.modes[:, 1]  # (K, 4)
         by_knots = scipy.sparse.diags_array(jacobian[:, 0]) @ self.spread
-        matrix: Any = scipy.sparse.hstack(
-            [by_knots, scipy.sparse.csr_array(jacobian[:, 1:])]
-        ).tocsr()
+        matrix = scipy.sparse.hstack([by_knots, scipy.sparse.csr_array(jacobian[:, 1:])]).tocsr()
         return matrix, self.target - seen, score
 
 
@@ -364,7 +361,7 @@ def search(  # noqa: PLR0915
         minimum = minimize(loss, np.zeros(6), method="Nelder-Mead", options=options)
         return -float(minimum.fun), start + minimum.x * _SIMPLEX
 
-    options: Any = {
+    options = {
         "initial_simplex": np.eye(7, 6, -1),
         "maxfev": 200,
         "xatol": 0.02,

@@ -60,8 +60,7 @@ from splitknit.skin.images import (
 from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 from splitknit.skin.shape import COARSE_PITCH_MM
-from splitknit_match.rolled.chart import Chart, heights
-from splitknit_match.rolled.sight import Sight
+from splitknit_match.rolled.chart import Chart, Sight, heights
 
 SIDES = ("left", "right")
 NO_MIRRORS = (

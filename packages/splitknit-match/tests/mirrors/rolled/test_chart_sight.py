@@ -10,9 +10,8 @@ from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import View, view_of
 from splitknit.mirrors.reflection import Plane, shade_of
 from splitknit.model import Camera, Led, Rig
-from splitknit_match.rolled.chart import Chart, heights, surface_normals
+from splitknit_match.rolled.chart import Chart, Sight, heights, surface_normals
 from splitknit_match.rolled.finger import _angles, _lengths, _sampled
-from splitknit_match.rolled.sight import Sight
 
 CAMERA = Camera(12.0, (420, 900))
 FOCAL = 12.0 * 140.0

@@ -7,10 +7,9 @@ import pytest
 from splitknit.mirrors.reflection import Plane
 from splitknit.model import Camera
 from splitknit_match.prints.rolled import _coverage_deg
-from splitknit_match.rolled.chart import Chart, surface_normals
+from splitknit_match.rolled.chart import Chart, Sight, surface_normals
 from splitknit_match.rolled.finger import STEEPEST_DEG, _angles, _lengths, _view_weight, blend
 from splitknit_match.rolled.register import ViewRidges, align, ridges_of, search
-from splitknit_match.rolled.sight import Sight
 
 CAMERA = Camera(12.0, (420, 900))
 LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
