@@ -62,7 +62,8 @@ def by_phase(
     place = np.stack([columns + 0.5, rows + 0.5], axis=1) + zeros
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
     kind = _kinds(ridges, place, towards, wave_number[rows, columns])
-    quality = _quality(like[kept], distance[kept], place * (25.4 / ppi), towards)
+    terms = _terms(like[kept], distance[kept], place * (25.4 / ppi), towards)
+    quality = np.round(100 / (1 + np.exp(-terms @ np.array(_AGAIN)))).astype(np.uint8)
     scale = 500.0 / ppi
     size = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))
     pixel = np.rint((place + 0.5) * scale - 0.5).astype(np.int32)
@@ -77,8 +78,8 @@ is missing to full likeness, of the distance to the outline, and of that to the 
 minutia. Chosen on: real prints (30 fingers of six sensors, validation/records/quality.py)."""
 
 
-def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Array) -> GreyArray:
-    """(N,) percent: how probably another print of the finger has these minutiae too."""
+def _terms(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Array) -> Array:
+    """(N, 4) terms of the regression for each minutia."""
     apart = np.full(len(like), _APART_MM)
     for k, (place, turn) in enumerate(zip(place_mm, towards, strict=True)):
         # those that differ in direction by more than 120 deg
@@ -86,8 +87,7 @@ def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Ar
         apart[k] = min([_APART_MM, *np.hypot(*(opposite - place).T)])
     # closer to full likeness, or more than 4 mm from the outline, nothing is added
     missing = np.log(np.maximum(1 - like.astype(float), 0.003))
-    terms = np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, 4.0), apart], axis=1)
-    return np.asarray(np.round(100 / (1 + np.exp(-terms @ np.array(_AGAIN)))), dtype=np.uint8)
+    return np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, 4.0), apart], axis=1)
 
 
 def _field(enhanced: Enhanced) -> tuple[Array, Array]:
