@@ -318,8 +318,8 @@ def _fault_of_lights(  # noqa: PLR0911
         opposite = f"{_OPPOSITE[across]}-{_OPPOSITE[along]}"
         hollow = f" ({opposite} if what is raised comes out hollow)" if material == "opaque" else ""
         advice.append(
-            f"if their x points {across} and their y {along} in the image, not right and up, give"
-            f" `light_frame` {fit.frame}{hollow}, or leave out the one that was given"
+            f"if they were measured with x pointing {across} and y {along} in the image, not right"
+            f" and up, give `light_frame` {fit.frame}{hollow}, or leave out the one that was given"
         )
     moved = [k for k, light in enumerate(fit.order) if light != k]
     if len(moved) == 2:
@@ -330,8 +330,8 @@ def _fault_of_lights(  # noqa: PLR0911
     if advice:
         effect = f" ({turned})" if moved else ""
         words = (
-            f"only in another order or frame do the lights show one surface{effect}:"
-            f" {'; or '.join(advice)}."
+            "the photographs seem to be under other lights than those they are given"
+            f"{effect}: {'; or '.join(advice)}."
         )
         return Finding("light-order" if moved else "light-frame", words)
     if fit.curl > _DOUBTED_CURL:
