@@ -244,11 +244,12 @@ def _frame(mask: BoolArray, yaw: float) -> Upright:
     size = np.ceil(high + margin) - origin + 1.0
     shift = np.array([[1.0, 0.0, origin[0]], [0.0, 1.0, origin[1]], [0.0, 0.0, 1.0]])
     input_from_upright = rotation_about((0.0, 0.0), yaw) @ shift
-    lines = np.round(turned[1] - low[1]).astype(np.uint16)  # which sorts fast
-    order = np.argsort(lines, kind="stable")
-    starts = np.flatnonzero(np.diff(lines[order], prepend=np.uint16(65535)))
-    across = turned[0][order]
-    widths = np.maximum.reduceat(across, starts) - np.minimum.reduceat(across, starts) + 1.0
+    lines = np.round(turned[1] - low[1]).astype(np.int64)
+    left = np.full(lines.max() + 1, np.inf)
+    right = -left
+    np.minimum.at(left, lines, turned[0])
+    np.maximum.at(right, lines, turned[0])
+    widths = np.maximum(right - left + 1.0, 0.0)
     width = float(np.median(widths[widths >= 0.8 * widths.max()]))
     top = lines <= max(1.0, 0.03 * width)
     tip = input_from_upright @ np.array(

@@ -238,7 +238,7 @@ def run_network(network: Network, images: FloatArray, *, tile: int = 724) -> Flo
     channels, hold NaN, or are smaller than the network's stride.
     """
     stack = _checked(images, network.card)
-    count, _, height, width = stack.shape
+    count, channels, height, width = stack.shape
     stride = network.card.stride
     padded = (height + -height % stride, width + -width % stride)
     tiles = _plan_tiles(padded, tile, reach=network.card.reach, stride=stride)
@@ -246,15 +246,12 @@ def run_network(network: Network, images: FloatArray, *, tile: int = 724) -> Flo
 
     for k, (source, inner, target) in product(range(count), tiles):
         piece = stack[(k, slice(None), *source)]
-        rows, columns = (s.stop - s.start for s in source)
-        filled = np.empty((1, network.card.channels_in, rows, columns), dtype=np.float32)
-        rows, columns = piece.shape[1:]
-        filled[0, :, :rows, :columns] = piece
-        for below in range(rows, filled.shape[2]):
-            filled[:, :, below] = filled[:, :, max(2 * rows - 2 - below, 0)]
-        for beside in range(columns, filled.shape[3]):
-            filled[..., beside] = filled[..., max(2 * columns - 2 - beside, 0)]
-        output = _infer(network, filled)[0]
+        beyond = [(0, s.stop - s.start - n) for s, n in zip(source, piece.shape[1:], strict=True)]
+        if any(more for _, more in beyond):
+            piece = np.pad(piece, ((0, 0), *beyond), mode="reflect")
+        if channels != network.card.channels_in:
+            piece = np.broadcast_to(piece, (network.card.channels_in, *piece.shape[1:]))
+        output = _infer(network, np.ascontiguousarray(piece)[None])[0]
         room = result[(k, slice(None), *target)]
         room[...] = output[(slice(None), *inner)][:, : room.shape[1], : room.shape[2]]
     return result
