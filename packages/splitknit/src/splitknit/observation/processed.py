@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.capture import Band
 from splitknit.findings import Finding, Severity
@@ -42,36 +43,43 @@ def findings_on_processing(
     return facts, findings
 
 
+_OFFSETS = np.arange(-10, 21)  # px from the outline, outwards
+_INSIDE, _BESIDE, _FAR = _OFFSETS < -2, (_OFFSETS >= -1) & (_OFFSETS < 9), _OFFSETS > 10
+_NEIGHBOURS = 16  # rays whose mean is one profile, as single pixels are noisy
+
+
 def _dark_outline(light: Light, mask: BoolArray) -> float:
     """Fraction of the lit outline beside which the background is clearly darker than farther away,
     less the fraction where it is clearly brighter. An unsharp mask undershoots there (A. Polesel,
     G. Ramponi and V. J. Mathews, "Image enhancement via adaptive unsharp masking", IEEE TIP 9,
     2000); a lens's blur, and stray light, brighten it."""
+    rays = _rays_across_outline(mask)
+    table = decode_table(light.stored.pixels.dtype, light.encoding)
+    darker = []
+    for pixels in light.stored.pixels:
+        values = table[pixels[rays]].mean(axis=-1)
+        profiles = values.reshape(len(_OFFSETS), -1, _NEIGHBOURS).mean(axis=2)
+        lit = profiles[_INSIDE].max(axis=0) > 10.0 * np.median(profiles[_FAR], axis=0)
+        beside, far = (profiles[part][:, lit].min(axis=0) for part in (_BESIDE, _FAR))
+        darker.append((beside < 0.7 * far).astype(np.float64) - (far < 0.7 * beside))
+    signs = np.concatenate(darker)
+    return float(signs.mean()) if signs.size >= 20 else 0.0
+
+
+def _rays_across_outline(mask: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns (31, n) of the pixels at `_OFFSETS` from points of the outline, along its
+    normals; without rays that leave the picture, or meet the mask again."""
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     outline = max(outlines, key=len)[:, 0]  # column and row
     along = (np.roll(outline, -8, axis=0) - np.roll(outline, 8, axis=0)).astype(np.float64)
     along *= np.sign(cv2.contourArea(outline, oriented=True))
-    outwards = along[:, ::-1] * (1, -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
-    offsets = np.arange(-10, 21)  # px, outwards
-    column, row = (
-        np.rint(outline + offsets[:, None, None] * outwards).astype(np.intp).transpose(2, 0, 1)
-    )
-    size = mask.shape
-    held = ((row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])).all(axis=0)
-    held[held] = ~mask[row[12:, held], column[12:, held]].any(axis=0)
-    held = np.flatnonzero(held)
-    held = held[: held.size // 16 * 16]  # means of so many neighbours, as single pixels are noisy
-    place = row[:, held], column[:, held]
-    table = decode_table(light.stored.pixels.dtype, light.encoding)
-    beyond = []
-    for pixels in light.stored.pixels:
-        values = table[pixels[place]].mean(axis=-1)
-        profile = values.reshape(len(offsets), -1, 16).mean(axis=2)
-        lit = profile[:8].max(axis=0) > 10.0 * np.median(profile[21:], axis=0)
-        near, far = (profile[part][:, lit].min(axis=0) for part in (slice(9, 19), slice(21, 31)))
-        beyond.append((near < 0.7 * far).astype(np.float64) - (far < 0.7 * near))
-    values = np.concatenate(beyond)
-    return float(values.mean()) if values.size >= 20 else 0.0
+    normals = along[:, ::-1] * (1, -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    places = np.rint(outline + _OFFSETS[:, None, None] * normals).astype(np.intp)
+    kept = ((places >= 0) & (places < mask.shape[::-1])).all(axis=(0, 2))
+    column, row = places[:, kept].transpose(2, 0, 1)
+    clear = np.flatnonzero(~mask[row, column][_OFFSETS > 1].any(axis=0))
+    clear = clear[: clear.size // _NEIGHBOURS * _NEIGHBOURS]
+    return row[:, clear], column[:, clear]
 
 
 def _was_jpeg(band: Band, window: Window) -> bool:

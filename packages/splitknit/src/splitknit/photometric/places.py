@@ -21,11 +21,15 @@ from splitknit.imaging.view import plane_points
 from splitknit.model import Array, BoolArray, Camera, FloatArray
 
 _GLINT_SD_PX = 0.15  # of a glint's place: 0.08 to 0.11 px are left on photographed balls
-_DIRECTION_SD = 0.2  # of the normal that gives a glint, of a stated direction: 24 deg of it
+_DIRECTION_SD = 0.2
+"""Of the normal that gives a glint, of a stated direction: 24 deg of it. Chosen on: how well two
+sets of photographs agree on the lights of one dome (validation/objects/dome.py)."""
 _OUTLINE_SD = 0.15  # of a ball's outlined radius, relative: a dark ball has a soft rim
 _MIDDLE_SD = 0.08  # of its outlined middle, over the radius
 _DOME_SD = 0.03  # lights off their common sphere, over its radius: 0.02 to 0.03 on a home-made dome
-_CENTRE_SD = 0.05  # of the dome's centre off the picture's middle on the ground, over its radius
+_CENTRE_SD = 0.05
+"""Of the dome's centre off the picture's middle on the ground, over its radius. Chosen on: the
+same."""
 CAMERA_HEIGHT = 0.77
 """Height of a camera that nobody measured over the longer side of its picture on the ground: a lens
 of 66 deg across."""
