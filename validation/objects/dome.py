@@ -18,6 +18,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +45,12 @@ def run(*words: object) -> None:
     subprocess.run(line, check=True, capture_output=True)
 
 
-def calibrated(name: str, balls: int, out: Path) -> Path:
-    """The list of a set's lights by one ball, or by both and the ground."""
+def calibrated(name: str, balls: Sequence[str], out: Path) -> Path:
+    """The list of a set's lights by one outlined ball, or by more and the ground."""
     words: list[object] = ["--images", DATA / "dome" / name, "--sphere", "chrome", "--out", out]
-    for ball in BALLS[name][:balls]:
+    for ball in balls:
         words += ["--ball", ball]
-    if balls > 1:
+    if len(balls) > 1:
         words += ["--px-per-cm", 10 * PX_PER_MM, "--ground"]
     run("calibrate", "lights", *words)
     return out
@@ -120,11 +121,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         fitted, listed = [], []
-        for name in BALLS:
-            list_of_both = calibrated(name, 2, work / f"{name}.txt")
+        for name, balls in BALLS.items():
+            list_of_both = calibrated(name, balls, work / f"{name}.txt")
             places = np.asarray(read_light_list(list_of_both).lights)
             listed.append(dict(zip(numbers(name, list_of_both), places, strict=True)))
-            directions = calibrated(name, 1, work / f"{name}.lp")
+            directions = calibrated(name, balls[:1], work / f"{name}.lp")
             result = reconstructed(name, directions, work / f"{name}-directions")
             fitted.append(fitted_places(name, directions, result))
             if name == "birr":

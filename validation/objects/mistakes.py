@@ -10,8 +10,6 @@ what is said.
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -19,6 +17,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from dome import DATA, calibrated
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
@@ -29,7 +28,6 @@ from splitknit.observation.plain import capture_of_arrays
 from splitknit.photometric.lambertian import lambertian
 from splitknit.pipeline import located
 
-DATA = Path(os.environ.get("SPLITKNIT_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 TABLE = Path(__file__).with_name("tables") / "mistakes.csv"
 Array = NDArray[np.float64]
 Photographed = tuple[Array, Array, Array | None]
@@ -60,10 +58,7 @@ def thing(name: str) -> Photographed:
 def of_dome(name: str, ball: str, box: tuple[slice, slice], every: int) -> tuple[Array, Array]:
     """Reduced photographs under a dome, and directions from the glints on one of its balls."""
     with tempfile.TemporaryDirectory() as folder:
-        lights = Path(folder) / "lights.lp"
-        verb = ["calibrate", "lights", "--images", str(DATA / "dome" / name), "--sphere", "chrome"]
-        words = [sys.executable, "-m", "splitknit", *verb, "--ball", ball, "--out", str(lights)]
-        subprocess.run(words, check=True, capture_output=True)
+        lights = calibrated(name, [ball], Path(folder) / "lights.lp")
         rows = [line.split() for line in lights.read_text("utf-8").splitlines()[1:]]
     codes = np.linspace(0, 1, 4096)
     images = []
