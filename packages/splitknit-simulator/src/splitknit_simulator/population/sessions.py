@@ -252,7 +252,7 @@ def population_capture(
     surface = finger_surface(worn, impression.pose(), rig.camera, workers=settings.render.workers)
     # since the LEDs were calibrated, which the rig file does not have
     lit = _drifted(rig, np.random.default_rng(drift_seed), 0.007)
-    skin, twin = _skin_of_today(own, impression), _twin_settings(settings, impression)
+    skin, twin = skin_of_today(own, impression), twin_settings_of(settings, impression)
     capture, truth = photograph(surface, lit, skin, photo_seed, settings=twin)
     subject = {"id": f"S{person.number:02d}", "finger": finger, "session": session}
     facts = {"subject": subject["id"], "finger": finger, "session": session}
@@ -281,7 +281,7 @@ def finger_of_today(finger: SimulatedFinger, impression: _Impression) -> Simulat
     )
 
 
-def _skin_of_today(own: OwnFinger, impression: _Impression) -> SkinOptics:
+def skin_of_today(own: OwnFinger, impression: _Impression) -> SkinOptics:
     """The optics of the finger's skin, as moist and as full of blood as in this impression."""
     return replace(
         own.optics,
@@ -302,7 +302,7 @@ def _drifted(rig: Rig, rng: np.random.Generator, spread: float) -> Rig:
     )
 
 
-def _twin_settings(settings: PopulationSettings, impression: _Impression) -> TwinSettings:
+def twin_settings_of(settings: PopulationSettings, impression: _Impression) -> TwinSettings:
     return TwinSettings(
         render=settings.render,
         films=settings.films,
