@@ -38,12 +38,13 @@ def sent(image):
 
 
 @pytest.fixture
-def running(tmp_path):
+def running(tmp_path, monkeypatch):
     """The application on a port of this machine, called by a client of another library; and its
     server."""
     with Gallery(tmp_path / "people.skg") as gallery, socket.socket() as place:
         place.bind(("127.0.0.1", 0))
-        app = make_app(gallery, TOKEN, tmp_path / "audit", max_body=2_000_000)
+        monkeypatch.setattr("splitknit_match.gallery.serve._MAX_BODY", 2_000_000)
+        app = make_app(gallery, TOKEN, tmp_path / "audit")
         server = server_of(app)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [place]})
         thread.start()

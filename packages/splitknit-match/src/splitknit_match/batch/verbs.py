@@ -276,7 +276,12 @@ def enroll(
         )
         new = count(facts["new"], "capture")
         lines = [f"{new} enrolled, {facts['known']} of {facts['found']} were there already."]
-        findings = _failures(facts["failures_to_acquire"])
+        findings = []
+        if failed := facts["failures_to_acquire"]:
+            first = f"first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')}"
+            words = f"{count(len(failed), 'failure')} to acquire, kept as such ({first})."
+            files = tuple(failure["path"] for failure in failed)
+            findings = [Finding("failure-to-acquire", words, files=files)]
     locked = ", encrypted" if facts["encrypted"] else ""
     people = count(facts["people"], "person", "people")
     holds = (
@@ -287,15 +292,6 @@ def enroll(
     lines.append(f"{facts['gallery']} holds {holds}{locked}.")
     facts["findings"] = [finding.facts for finding in findings]
     return Report(facts, tuple(lines))
-
-
-def _failures(failed: Sequence[Mapping[str, str]]) -> Sequence[Finding]:
-    if not failed:
-        return ()
-    first = f"first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')}"
-    words = f"{count(len(failed), 'failure')} to acquire, kept as such ({first})."
-    files = tuple(failure["path"] for failure in failed)
-    return (Finding("failure-to-acquire", words, files=files),)
 
 
 def _enrolled_line(capture: EnrolledCapture) -> str:

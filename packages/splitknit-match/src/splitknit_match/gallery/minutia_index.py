@@ -100,14 +100,7 @@ class MinutiaIndex:
             np.clip(np.nan_to_num(kept[name]), -_FARTHEST_MM, _FARTHEST_MM)
             for name in ("x", "y", "turn")
         )
-        # left, right, lower and upper end of each capture's places
-        self.boxes = np.stack(
-            [
-                end.reduceat(axis, self.first) + margin
-                for axis in (self.x, self.y)
-                for end, margin in ((np.minimum, -_MARGIN_MM), (np.maximum, _MARGIN_MM))
-            ]
-        )
+        self.boxes = _boxes(self.x, self.y, self.first)
         # twice the steps, so that differences of rotation stay within the capture's own
         self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * _ROTATIONS)
         self.code += _steps(self.turn) + _ROTATIONS
@@ -268,7 +261,9 @@ class MinutiaIndex:
             mutual &= likeness == best[minutia]
         agreeing = np.bincount(capture[mutual], likeness[mutual], minlength=len(captures))
         back = (x + 1j * y - shifts[:, None]) * turns.conj()[:, None]
-        enrolled_overlap = (_inside(back, np.array(_box(probe.place))) & present).sum(axis=1)
+        enrolled_overlap = (
+            _inside(back, _boxes(probe.place.real, probe.place.imag, np.zeros(1, int))) & present
+        ).sum(axis=1)
         probe_overlap = _inside(laid, self.boxes[:, captures, None]).sum(axis=1)
         # minutiae that are added to those that could agree
         return np.asarray(agreeing / np.sqrt(np.sqrt(enrolled_overlap * probe_overlap) + 9.0))
@@ -336,16 +331,13 @@ def _largest(values: NDArray[np.float64], count: int) -> NDArray[np.int64]:
     return np.flatnonzero(values >= np.partition(values, len(values) - count)[len(values) - count])
 
 
-def _box(place: Places) -> tuple[float, float, float, float]:
-    """Left, right, lower and upper end of places."""
-    x = place.real
-    y = place.imag
-    return (
-        float(x.min() - _MARGIN_MM),
-        float(x.max() + _MARGIN_MM),
-        float(y.min() - _MARGIN_MM),
-        float(y.max() + _MARGIN_MM),
-    )
+def _boxes(
+    x: NDArray[np.floating], y: NDArray[np.floating], first: NDArray[np.int64]
+) -> NDArray[np.floating]:
+    """(4, N) left, right, lower and upper end of the places of each side, which begin at `first`
+    (N,)."""
+    ends = (np.minimum, -_MARGIN_MM), (np.maximum, _MARGIN_MM)
+    return np.stack([end.reduceat(axis, first) + far for axis in (x, y) for end, far in ends])
 
 
 def _inside(

@@ -133,9 +133,7 @@ WORK_S = 60.0  # so long may the work of a request take, with its waiting for a 
 _MIN_TOKEN = 16  # shortest token
 
 
-def make_app(
-    gallery: Gallery, token: str, audit: Path | None = None, max_body: int = _MAX_BODY
-) -> Any:
+def make_app(gallery: Gallery, token: str, audit: Path | None = None) -> Any:
     """Make the ASGI application.
 
     Raises BadInput if the token is short, the audit file cannot be written, or Starlette is not
@@ -160,8 +158,8 @@ def make_app(
         with fail_after(PATIENCE_S):
             async for part in request.stream():
                 body += part
-                if len(body) > max_body:
-                    raise _AnswerError(413, f"the request has more than {max_body} bytes")
+                if len(body) > _MAX_BODY:
+                    raise _AnswerError(413, f"the request has more than {_MAX_BODY} bytes")
         return bytes(body)
 
     async def answer(request: Request) -> JSONResponse:
