@@ -18,11 +18,11 @@ from batch_stores import run, tables
 from refusals import bad_input
 from splitknit.cli.main import main
 from splitknit.networks.unet import network_threads
-from splitknit_match.batch import tasks
+from splitknit_match import tasks
 from splitknit_match.batch.store import Store
-from splitknit_match.batch.tasks import AHEAD, Done, Workers, connected, run_tasks
+from splitknit_match.tasks import AHEAD, Done, connected, run_tasks
 
-HERE, TWO = Workers(1), Workers(2)
+HERE, TWO = 1, 2
 
 
 def double(value):
@@ -39,8 +39,8 @@ def die(value):
     return Done(value)
 
 
-def sizes(work, values, workers):
-    return sorted(done.size for done in run_tasks(work, values, workers))
+def sizes(work, values, *workers):
+    return sorted(done.size for done in run_tasks(work, values, *workers))
 
 
 @contextmanager
@@ -83,7 +83,7 @@ def test_workers_are_as_many_as_memory_holds(monkeypatch):
     assert tasks.workers_that_fit() >= 1
     monkeypatch.setattr(tasks, "WORKER_BYTES", 1 << 60)
     assert tasks.workers_that_fit() == 1
-    assert sizes(threads_of, range(3), Workers(3)) == [network_threads()] * 3  # in this process
+    assert sizes(threads_of, range(3), 3) == [network_threads()] * 3  # in this process
 
 
 def test_a_package_that_is_missing_is_named(monkeypatch):
@@ -242,7 +242,7 @@ def test_the_scheduler_is_given_few_tasks_at_a_time(tls):
     address, good, _ = tls
     values = Counted(range(20))
     with configured(good), connected(address) as client:
-        for number, _ in enumerate(run_tasks(double, values, Workers(1, client)), start=1):
+        for number, _ in enumerate(run_tasks(double, values, 1, client), start=1):
             assert values.begun <= number + AHEAD  # of one thread
     assert values.begun == 20
 
@@ -266,7 +266,7 @@ def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(tls):
     }
     for setting in ({}, weak):
         with configured(good), dask.config.set(setting), connected(address) as client:
-            assert sizes(double, [4], Workers(1, client)) == [8]
+            assert sizes(double, [4], 1, client) == [8]
             assert listening() == before
     with configured(foreign), dask.config.set(weak), bad_input("verify failed"), connected(address):
         pass

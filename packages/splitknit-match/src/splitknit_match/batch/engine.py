@@ -44,9 +44,9 @@ from splitknit_match.batch.store import (
     read_table,
     write_table,
 )
-from splitknit_match.batch.tasks import Done, Task, Work, Workers, connected, run_tasks
 from splitknit_match.evaluation.protocol import Comparisons
 from splitknit_match.evaluation.scores import score_table
+from splitknit_match.tasks import Done, Task, Work, connected, run_tasks
 
 _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
 
@@ -59,13 +59,14 @@ class _Run:
     population: Population
     impostors: float
     seed: int
-    workers: Workers
+    jobs: int
+    client: Any
     progress: Progress
 
     def done(self, work: Work[Task], tasks: Sequence[Task], words: str) -> list[Done]:
         """Do tasks, reporting progress."""
         results = []
-        for result in run_tasks(work, tasks, self.workers):
+        for result in run_tasks(work, tasks, self.jobs, self.client):
             results.append(result)
             self.progress(words, len(results) / len(tasks))
         return results
@@ -136,8 +137,7 @@ def run_batch(
         documents = {name: matcher_of(name).document for name in matchers}
         pairs = {"impostors": impostors, "seed": seed}
         store = open_store(folder, captures.sha256, case_documents, documents, pairs)
-        workers = Workers(jobs, client)
-        run = _Run(store, captures, impostors, seed, workers, progress)
+        run = _Run(store, captures, impostors, seed, jobs, client, progress)
         facts = {"out": str(out), **_reconstruct(run, cases, surfaces)}
         facts["findings"] = [finding.facts for finding in _findings(facts)]
         try:

@@ -31,11 +31,11 @@ from splitknit_match.batch.store import (
     write_surface,
     write_table,
 )
-from splitknit_match.batch.tasks import Done
 from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import pack
 from splitknit_match.prints.minutiae import extract
 from splitknit_match.records.minutiae_record import no_minutiae, pack_minutiae
+from splitknit_match.tasks import Done
 
 PRINT_PPI = 500.0
 """Resolution of the prints that are kept. Source: definition."""

@@ -21,7 +21,7 @@ from splitknit_match.gallery.identify import (
 )
 from splitknit_match.matching.inputs import held, side_reader
 from splitknit_match.matching.match import Finger
-from splitknit_match.matching.template import unpack
+from splitknit_match.matching.template import Template, unpack
 from splitknit_match.records.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit_match.threads import one_blas_thread
 
@@ -55,6 +55,8 @@ class Candidates:
         """Take over templates."""
         self._people = People(_NAME, "", [], {}, {})
         self._rows = 0
+        self._file: GalleryFile | None = None
+        """Whose cluster stays connected."""
         self.add(templates or {})
 
     def __len__(self) -> int:
@@ -70,7 +72,8 @@ class Candidates:
             require(isinstance(template, bytes), f"the template of '{name}' must be bytes.")
             assert isinstance(payload, bytes)
             of_minutiae = holds_minutiae(payload)
-            area_mm2 = naming(name, partial(_area_mm2, payload))
+            read = naming(name, partial(unpack_minutiae if of_minutiae else unpack, payload))
+            area_mm2 = round(read.area_mm2, 2) if isinstance(read, Template) else 0.0
             own = MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH
             mixed = f"'{name}' is of {'minutiae' if of_minutiae else 'ridges'}, others are not"
             require(not payload or settings in ("", own), f"{mixed}; search them apart.")
@@ -92,9 +95,11 @@ class Candidates:
         self._people = left
 
     def prepare(self, progress: Progress = no_progress) -> None:
-        """Make what the first search would make: the index of all minutiae."""
+        """Make what the first search would make: the index of all minutiae. Workers of a cluster
+        make theirs at the first search."""
         one_blas_thread()
-        self._people.index(progress)
+        if self._people.spread is None:
+            self._people.index(progress)
 
     def save(self, path: AnyPath, key: Key | AnyPath | None = None) -> None:
         """Write all, and what is known of their minutiae, into a new file, which only you can read.
@@ -107,18 +112,22 @@ class Candidates:
         require(len(self) > 0, "there are no templates to save; add some first.")
         people = self._people
         captures = (
-            NewCapture(entry, people.templates[row], bytes(people.minutiae.get(row, b"")))
+            NewCapture(entry, people.payload(row), bytes(people.minutiae.get(row, b"")))
             for row, entry in people.entries.items()
         )
         file.add(captures, people.settings_sha256 or TEMPLATES_HASH)
 
     @classmethod
-    def load(cls, path: AnyPath, key: Key | AnyPath | None = None) -> Self:
-        """Read what :meth:`save` wrote, or a gallery of one capture a person.
+    def load(
+        cls, path: AnyPath, key: Key | AnyPath | None = None, *, scheduler: str | None = None
+    ) -> Self:
+        """Read what :meth:`save` wrote, or a gallery of one capture a person; with `scheduler`
+        workers of a cluster hold and search it, as of :func:`splitknit_match.identify`.
 
         Raises BadInput if the file is damaged, of another version, or names somebody twice.
         """
-        people = comparable_people(GalleryFile(path, key))
+        file = GalleryFile(path, key, scheduler)
+        people = comparable_people(file)
         names = {entry.person for entry in people.entries.values()}
         require(
             len(names) == len(people.entries),
@@ -126,12 +135,13 @@ class Candidates:
         )
         people.minutiae = {row: bytes(own) for row, own in people.minutiae.items()}
         candidates = cls()
-        candidates._people = people
+        candidates._people, candidates._file = people, file
         candidates._rows = max(people.entries, default=0)
         return candidates
 
     def _without(self, names: Collection[str]) -> People:
         people = self._people
+        require(people.spread is None, "what workers hold cannot be changed; load it without them.")
         entries = [entry for entry in people.entries.values() if entry.person not in names]
         rows = {entry.row for entry in entries}
         templates = {row: people.templates[row] for row in rows}
@@ -154,10 +164,3 @@ class Candidates:
         :func:`splitknit_match.identify`; ``person`` of a candidate is its name."""
         read = side_reader(probe, preset, resolution_ppi, ridges)
         return identify_finger(self._people, read, top=top, fmr=fmr, progress=progress)
-
-
-def _area_mm2(payload: bytes) -> float:
-    if holds_minutiae(payload):
-        unpack_minutiae(payload)
-        return 0.0
-    return round(unpack(payload).area_mm2, 2)

@@ -19,11 +19,9 @@ import threading
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
-
-import numpy as np
 
 from splitknit import BadInput
 from splitknit.arguments import AnyPath
@@ -286,9 +284,13 @@ class People:
         self.entries = {entry.row: entry for entry in entries}
         self.templates = templates
         self.minutiae = minutiae
+        self.spread: Callable[[Callable[[People], Any]], Iterator[Any]] | None = None
+        """Does something with each part, where workers of a cluster hold the parts."""
+        self.source: tuple[Any, ...] = ()
+        """What a part is read from: Dask moves that, or puts it on a disk, and no template."""
         self.prepared = lru_cache(_PREPARED)(self._prepare)
         self.of = lru_cache(1)(self._chosen)
-        self._index: MinutiaIndex | None = None
+        self._index: list[MinutiaIndex] | None = None
         self._lock = threading.Lock()
 
     def _prepare(self, row: int) -> Prepared:
@@ -296,7 +298,7 @@ class People:
         from splitknit_match.gallery.minutia_index import unpacked
         from splitknit_match.matching.ridge import Prepared
 
-        return Prepared(unpacked(self.path, row, self.templates[row]))
+        return Prepared(unpacked(self.path, row, self.payload(row)))
 
     def _chosen(self, person: str | None, finger: str | None) -> Chosen:
         """Those of a person, a finger, or all, in the order of enrolment."""
@@ -305,33 +307,67 @@ class People:
             for entry in self.entries.values()
             if person in (None, entry.person) and finger in (None, entry.finger)
         ]
-        wanted = {"person": person, "finger": finger}
-        words = " and ".join(
-            f"{name} '{value}'" for name, value in wanted.items() if value is not None
-        )
-        require(
-            entries or not words,
-            f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it.",
-        )
         acquired = [entry for entry in entries if entry.template_bytes > 0]
         people = {entry.person for entry in acquired}
         fingers = {(entry.person, entry.finger) for entry in acquired}
         return Chosen(entries, acquired, len(fingers), len(people))
 
-    def index(self, progress: Progress) -> MinutiaIndex:
-        """Index of the minutiae of all templates."""
+    def payload(self, row: int) -> bytes:
+        """Template of a row; of a part without it empty."""
+        if self.spread is None:
+            return self.templates.get(row, b"")
+        return b"".join(self.spread(partial(People.payload, row=row)))
+
+    def __sizeof__(self) -> int:
+        return sum(map(len, (*self.templates.values(), *self.minutiae.values())))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _part, self.source
+
+    def index(self, progress: Progress) -> list[MinutiaIndex]:
+        """Indexes of the minutiae of all templates, each of :data:`PART` of them."""
         # a list of names needs none of it
         from splitknit_match.gallery.minutia_index import MinutiaIndex
 
         with self._lock:
             if self._index is None:
-                self._index = MinutiaIndex(self.templates, self.path, self.minutiae, progress)
+                self._index = [
+                    MinutiaIndex(
+                        {row: self.templates[row] for row in rows},
+                        self.path,
+                        self.minutiae,
+                        progress,
+                    )
+                    for rows in _parts(self.entries)
+                ]
                 # what was read of a file is let go, what was found is kept
                 known = self.minutiae.items()
                 self.minutiae = {row: own for row, own in known if isinstance(own, bytes)}
             return self._index
 
 
+PART = 10_000
+"""Captures of one index, and of what a worker of a cluster reads at a time. Chosen on: real prints
+(what a search among so many loses: validation/gallery/index.py)."""
+
+
+def _parts(entries: Iterable[int]) -> list[list[int]]:
+    """Rows of each part."""
+    rows = list(entries)
+    return [rows[start : start + PART] for start in range(0, len(rows), PART)]
+
+
+def _part(path: Path, rows: tuple[int, int]) -> People:
+    """Rows that a worker of a cluster holds."""
+    file = GalleryFile(path)
+    file._sound = (_stamp_of(path) or ())[:2]  # the client looked
+    part = file.people(rows=rows)
+    part.source = path, rows
+    part.prepared = lru_cache(0)(part._prepare)  # a worker holds many parts
+    return part
+
+
+_ALL = -(2**63), 2**63 - 1  # rows
 WAIT_S = 10.0  # how long one waits for another program's transaction
 
 
@@ -342,8 +378,11 @@ class GalleryFile:
     what was read is kept. One that was there and is gone is refused.
     """
 
-    def __init__(self, path: AnyPath, key: Key | AnyPath | None = None) -> None:
-        """Remember path and key; the file is read with the first call that needs it."""
+    def __init__(
+        self, path: AnyPath, key: Key | AnyPath | None = None, scheduler: str | None = None
+    ) -> None:
+        """Remember path, key, and the Dask scheduler whose workers search it; the file is read with
+        the first call that needs it."""
         self.path, self.key = Path(path), key_of(key)
         self._driver = sqlite3 if self.key is None else _sqlcipher()
         self._was_there = _stamp_of(self.path) is not None
@@ -351,6 +390,8 @@ class GalleryFile:
         """Device and inode of the file whose pages were checked."""
         self._kept: tuple[object, People | None] = None, None
         """What was read last, and of which state of which file."""
+        self.scheduler, self._open = scheduler, contextlib.ExitStack()
+        self._client: Any = None
 
     def __enter__(self) -> Self:
         return self
@@ -361,6 +402,8 @@ class GalleryFile:
     def close(self) -> None:
         """Let go of what was read."""
         self._kept = None, None
+        self._open.close()
+        self._client = None
 
     @property
     def there(self) -> bool:
@@ -403,26 +446,36 @@ class GalleryFile:
         with self._reading() as database:
             return self._entries(database, person, finger, session)
 
-    def people(self, person: str | None = None) -> People:
-        """What it holds, kept in memory for the next call; of one person alone if the rest was not
-        read yet."""
+    def people(self, person: str | None = None, rows: tuple[int, int] = _ALL) -> People:
+        """What it holds (in some rows), kept in memory for the next call; of one person alone if
+        the rest was not read yet."""
         with self._reading() as database:
             state = _stamp_of(self.path), database.execute("SELECT changes FROM about").fetchone()
             known_state, kept = self._kept
             if kept is not None and state == known_state:
                 return kept
             self._kept = None, None
-            entries = self._entries(database, person)
-            (total,) = database.execute("SELECT sum(length(minutiae)) FROM capture").fetchone()
-            # in one piece, whose memory is returned once an index is made of it
-            room, used = np.empty(total or 0, dtype=np.uint8).data, 0
+            entries = self._entries(database, person, rows=rows)
             templates, minutiae = dict[int, bytes](), dict[int, bytes | memoryview]()
-            for entry in entries:
-                templates[entry.row], own = self._read(database, entry)
-                minutiae[entry.row] = part = room[used : used + len(own)]
-                part[:] = own
-                used += len(own)
             people = People(self.path, _settings_of(database), entries, templates, minutiae)
+            if self.scheduler is None or person is not None:
+                # in one piece, whose memory is returned once an index is made of it
+                room, ends = bytearray(), [0]
+                for row, entry in people.entries.items():
+                    templates[row], own = self._read(database, entry)
+                    room += own
+                    ends.append(len(room))
+                parts = map(memoryview(room).__getitem__, map(slice, ends, ends[1:]))
+                minutiae.update(zip(templates, parts, strict=True))
+            else:
+                from splitknit_match.tasks import connected, job_of, on_cluster
+
+                client = self._client or self._open.enter_context(connected(self.scheduler))
+                ends_of = [(part[0], part[-1]) for part in _parts(people.entries)]
+                # a key is in the workers' environment, not in what a scheduler keeps
+                read = job_of(partial(_part, self.path.resolve()))
+                people.spread = partial(on_cluster, client, client.map(read, ends_of, pure=False))
+                self._client = client
             if person is None:
                 self._kept = state, people
             return people
@@ -430,22 +483,23 @@ class GalleryFile:
     def _entries(
         self,
         database: Any,
-        person: str | None,
+        person: str | None = None,
         finger: str | None = None,
         session: str | None = None,
+        rows: tuple[int, int] = _ALL,
     ) -> list[Entry]:
         wanted = {"name": person, "finger": finger, "session": session}
         wanted = {name: value for name, value in wanted.items() if value is not None}
         columns = ", ".join(
             ("name", "finger", "session", *FIELDS, "length(template)", "capture.id")
         )
-        where = " AND ".join(f"{name} = ?" for name in wanted) or "TRUE"
+        where = "".join(f" AND {name} = ?" for name in wanted)
         query = (
-            f"SELECT {columns} FROM capture JOIN person ON person = person.id WHERE {where} ORDER"
-            " BY capture.id"
+            f"SELECT {columns} FROM capture JOIN person ON person = person.id WHERE capture.id"
+            f" BETWEEN ? AND ?{where} ORDER BY capture.id"
         )
         try:
-            return [Entry(*values) for values in database.execute(query, tuple(wanted.values()))]
+            return [Entry(*values) for values in database.execute(query, (*rows, *wanted.values()))]
         except BadInput as error:
             raise Unavailable(self._damaged(str(error).rstrip("."))) from error
 

@@ -17,7 +17,7 @@ from splitknit.findings import Finding, worst_first
 from splitknit.io.provenance import known_json, settings_hash
 from splitknit.model import Progress, no_progress
 from splitknit_match.gallery.file import (
-    Chosen,
+    PART,
     Entry,
     GalleryFile,
     People,
@@ -184,7 +184,13 @@ def identify_finger(
     person = None if person is None else check_person(person)
     people = gallery if isinstance(gallery, People) else comparable_people(gallery, person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-    chosen = people.of(person, finger)
+    wanted = person, finger
+    sought = {"person": person, "finger": finger}
+    words = " and ".join(f"{name} '{value}'" for name, value in sought.items() if value is not None)
+    require(
+        people.of(*wanted).entries or not words,
+        f"'{people.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it.",
+    )
     if fmr is not None:  # refused here, before anything is made, where no such rate was measured
         fmr_table("minutiae_of_prints" if of_minutiae else "ridge").threshold(fmr)
     side = read(lambda stage, fraction: progress(stage, 0.5 * fraction))
@@ -216,11 +222,8 @@ def identify_finger(
     if isinstance(probe, Minutiae):
         compared = ComparedSide(compared.path, side.kind, 0.0, probe.acquired)
 
-    most = len(chosen.entries)
-    if person is None and finger is None:
-        most = max(top, round(_NEAREST * most))
     best, searched, findings = _search(
-        people, probe, chosen, most=most, merge=merge, top=top, progress=progress
+        people, probe, wanted, merge=merge, top=top, progress=progress
     )
     table = "minutiae_of_prints" if of_minutiae else searched.compared_by
     rated = [comparison.pair.rated(fmr) for comparison in best]
@@ -297,46 +300,44 @@ ALL_PRINTS = 200
 def _search(
     people: People,
     probe: Template | Minutiae,
-    sought: Chosen,
+    wanted: tuple[str | None, str | None],
     *,
-    most: int,
     merge: str,
     top: int,
     progress: Progress,
 ) -> tuple[list[_Comparison], Searched, list[Finding]]:
-    """Compare these, or of many the `most` whose minutiae agree best; the `top` of each person or
-    finger, best first."""
+    """Compare those of a person, a finger, or of all those whose minutiae agree best; the `top` of
+    each person or finger, best first."""
+    sought = people.of(*wanted)
     acquired = sought.acquired
-    compared_by = "ridge"
-    quick = False
     findings = []
     comparisons = []
-    if isinstance(probe, Minutiae):
-        compared_by = "minutiae"
-        comparisons = _by_minutiae(people, probe, acquired)
-    elif not probe.empty and acquired:
-        prepared, chosen = Prepared(probe), acquired
-        if len(acquired) > max(most, ALL_PRINTS) and prepared.cylinders is not None:
-            index = people.index(progress)
-            chosen = [
-                people.entries[row]
-                for row in (*index.nearest(prepared.cylinders, most), *index.others)
-            ]
-            quick = True
-        if len(chosen) < len(acquired):
+    if isinstance(probe, Template):
+        compared_by, empty = "ridge", probe.empty
+        quick = wanted == (None, None) and len(acquired) > max(top, ALL_PRINTS)
+    else:
+        compared_by, empty, quick = "minutiae", not probe.acquired, False
+    if acquired and not empty:
+        compare = partial(_compared, probe, wanted, top if quick else 0)
+        if people.spread is None:
+            comparisons = compare(people, progress)
+        else:
+            for number, done in enumerate(people.spread(compare)):
+                comparisons += done
+                progress("comparing", 0.5 + 0.5 * number * PART / len(people.entries))
+        if len(comparisons) < len(acquired):
             words = (
-                f"of {len(acquired)} captures {len(chosen)} were compared, those whose minutiae"
-                " agree best; this shortcut misses about 1 match in 100."
+                f"of {len(acquired)} captures {len(comparisons)} were compared, those whose"
+                " minutiae agree best; this shortcut misses about 1 match in 100."
             )
             findings.append(Finding("captures-left-out", words))
-        comparisons = _by_templates(people, prepared, chosen, progress, quick=quick)
         if any(comparison.method == "fusion" for comparison in comparisons):
             compared_by = "fusion"
     best = _merged(comparisons, merge)[:top]
-    if quick and best and (best[0].pair.minutiae or 0.0) < SURE:
+    if isinstance(probe, Template) and quick and best and (best[0].pair.minutiae or 0.0) < SURE:
         # rates were measured by comparisons as of `match`; in others of a search they may be larger
-        (again,) = _by_templates(people, prepared, [best[0].entry], no_progress)
-        best = _ranked([again, *best[1:]])
+        best[0] = _beside(people, Prepared(probe), False, best[0].entry)
+        best = _ranked(best)
     searched = Searched(
         compared_by=compared_by,
         fingers=sought.fingers,
@@ -351,6 +352,46 @@ def _search(
     return best, searched, findings
 
 
+def _compared(
+    probe: Template | Minutiae,
+    wanted: tuple[str | None, str | None],
+    top: int,
+    people: People,
+    progress: Progress = no_progress,
+) -> list[_Comparison]:
+    """Compare those of a person, a finger, or all; with `top`, quickly, so many of each index at
+    least, whose minutiae agree best."""
+    chosen = people.of(*wanted).acquired
+    side = probe if isinstance(probe, Minutiae) else Prepared(probe)
+    sought = side.cylinders if top and isinstance(side, Prepared) else None
+    if sought is not None:
+        chosen = [
+            people.entries[row]
+            for index in people.index(progress)
+            for row in (
+                *index.nearest(sought, max(top, round(_NEAREST * len(index)))),
+                *index.others,
+            )
+        ]
+    comparisons: list[_Comparison] = []
+    for comparison in each(partial(_beside, people, side, sought is not None), chosen):
+        progress("comparing", 0.5 + 0.5 * len(comparisons) / len(chosen))
+        comparisons.append(comparison)
+    return comparisons
+
+
+def _beside(people: People, probe: Prepared | Minutiae, quick: bool, entry: Entry) -> _Comparison:
+    """Compare with a capture as `match` does, or `quick` as of
+    :func:`splitknit_match.matching.fusion.fused_match`."""
+    if isinstance(probe, Minutiae):
+        read = partial(unpack_minutiae, people.payload(entry.row))
+        enrolled = naming(f"row {entry.row} of '{people.path}'", read)
+        return _Comparison(entry, "minutiae", compare_minutiae(probe, enrolled))
+    capture = people.prepared(entry.row)
+    method = "ridge" if by_ridges(probe.template, capture.template) else "fusion"
+    return _Comparison(entry, method, compare_templates(method, probe, capture, quick=quick))
+
+
 def _ranked(comparisons: Sequence[_Comparison]) -> list[_Comparison]:
     """Best first: by similarity, or by false match rate where methods differ in its scale."""
     scales = {comparison.method for comparison in comparisons}
@@ -362,40 +403,6 @@ def _ranked(comparisons: Sequence[_Comparison]) -> list[_Comparison]:
         return fmr, -comparison.pair.similarity, person, finger, session_order(session)
 
     return sorted(comparisons, key=order)
-
-
-def _by_templates(
-    people: People,
-    probe: Prepared,
-    entries: Sequence[Entry],
-    progress: Progress,
-    *,
-    quick: bool = False,
-) -> list[_Comparison]:
-    """Compare each as `match` does, or `quick` as of
-    :func:`splitknit_match.matching.fusion.fused_match`."""
-
-    def compare(entry: Entry) -> _Comparison:
-        capture = people.prepared(entry.row)
-        method = "ridge" if by_ridges(probe.template, capture.template) else "fusion"
-        return _Comparison(entry, method, compare_templates(method, probe, capture, quick=quick))
-
-    comparisons: list[_Comparison] = []
-    for comparison in each(compare, entries):
-        progress("comparing", 0.5 + 0.5 * len(comparisons) / len(entries))
-        comparisons.append(comparison)
-    return comparisons
-
-
-def _by_minutiae(people: People, probe: Minutiae, entries: Sequence[Entry]) -> list[_Comparison]:
-    """Compare each as `match` does."""
-
-    def compare(entry: Entry) -> _Comparison:
-        read = partial(unpack_minutiae, people.templates[entry.row])
-        enrolled = naming(f"row {entry.row} of '{people.path}'", read)
-        return _Comparison(entry, "minutiae", compare_minutiae(probe, enrolled))
-
-    return list(each(compare, entries)) if probe.acquired else []
 
 
 def _merged(comparisons: Sequence[_Comparison], merge: str) -> list[_Comparison]:

@@ -74,6 +74,7 @@ def identify(
     resolution_ppi: float | None = None,
     ridges: Ridges = None,
     preset: Preset = "metric",
+    scheduler: str | None = None,
     progress: Progress = silent,
 ) -> Identification:
     """Find a finger in a gallery, or check whose it is said to be.
@@ -93,6 +94,9 @@ def identify(
         Pixels per inch of a print that is an array, or whose file does not state it.
     ridges : {"dark", "light"}, optional
         As of :func:`match`.
+    scheduler : str, optional
+        Address of a Dask scheduler, whose workers hold and search the gallery; they must see it
+        under the same name, and an encrypted one's key in their environment.
     progress : called with the name of a stage and the fraction done, optional
 
     Returns
@@ -104,7 +108,8 @@ def identify(
     ------
     BadInput
         If a file cannot be used, the gallery's templates were made otherwise, the claimed person or
-        finger is not in it, or the rate was not measured.
+        finger is not in it, the rate was not measured, or the scheduler cannot be reached or must
+        not be used.
 
     Examples
     --------
@@ -112,18 +117,19 @@ def identify(
     >>> answer = splitknit_match.identify("people.skg", "captures/unknown", top=3)  # doctest: +SKIP
     >>> answer.candidates  # doctest: +SKIP
     """
-    return _opened(gallery, key).identify(
-        probe,
-        top=top,
-        person=person,
-        finger=finger,
-        fmr=fmr,
-        merge=merge,
-        resolution_ppi=resolution_ppi,
-        ridges=ridges,
-        preset=preset,
-        progress=progress,
-    )
+    with _opened(gallery, key, scheduler) as opened:
+        return opened.identify(
+            probe,
+            top=top,
+            person=person,
+            finger=finger,
+            fmr=fmr,
+            merge=merge,
+            resolution_ppi=resolution_ppi,
+            ridges=ridges,
+            preset=preset,
+            progress=progress,
+        )
 
 
 @checked
@@ -141,6 +147,7 @@ def identify_in_gallery(
     resolution_ppi: ResolutionPpi = None,
     ridges: Ridges = None,
     preset: Preset = "metric",
+    scheduler: str | None = None,
     progress: Progress = silent,
 ) -> Identification | Report:
     """Find a finger in a gallery, or check whose it is said to be.
@@ -167,6 +174,8 @@ def identify_in_gallery(
         Print the method's own scores too (--json always has them).
     preset
         How captures are reconstructed.
+    scheduler
+        Dask scheduler tls://HOST:PORT whose workers search.
 
     Returns
     -------
@@ -198,6 +207,7 @@ def identify_in_gallery(
         resolution_ppi=resolution_ppi,
         ridges=ridges,
         preset=preset,
+        scheduler=scheduler,
         progress=progress,
     )
     findings = (*identification.findings, *readable_gallery(gallery, key_file))
@@ -207,10 +217,10 @@ def identify_in_gallery(
     return Report(identification.facts, tuple(identification_lines(identification, scores=True)))
 
 
-def _opened(gallery: AnyPath, key_file: GivenKey | None) -> Gallery:
+def _opened(gallery: AnyPath, key_file: GivenKey | None, scheduler: str | None = None) -> Gallery:
     from splitknit_match.gallery.gallery import Gallery
 
-    return Gallery(gallery, key_file)
+    return Gallery(gallery, key_file, scheduler)
 
 
 def _reported(

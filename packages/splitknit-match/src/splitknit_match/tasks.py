@@ -1,4 +1,4 @@
-"""Tasks done by processes of this computer, or by the workers of a Dask cluster.
+"""Tasks of batches and searches, by processes of this computer or the workers of a Dask cluster.
 
 Processes of this computer are those of :mod:`splitknit.workers`, not Dask's: two captures took 33 s
 of processor time by a local cluster and 23 s by processes, and a local cluster opens ports through
@@ -29,6 +29,7 @@ from splitknit.networks.unet import network_threads, use_network_threads
 from splitknit.workers import run_jobs
 
 Task = TypeVar("Task")
+R = TypeVar("R")
 _log = logging.getLogger(__name__)
 
 
@@ -45,26 +46,21 @@ class Done:
 Work = Callable[[Task], Done]
 
 
-@dataclass(frozen=True, slots=True)
-class Workers:
-    """Who does the tasks of a batch."""
-
-    jobs: int  # processes of this computer at most, if memory allows; 1: this process
-    client: Any = None  # of :func:`connected`, whose workers do the tasks instead
-
-
-def run_tasks(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> Iterator[Done]:
-    """Do all tasks, by processes on one thread each; yield results as they come.
+def run_tasks(
+    work: Work[Task], tasks: Sequence[Task], jobs: int, client: Any = None
+) -> Iterator[Done]:
+    """Do all tasks, by `jobs` processes on one thread each, if memory allows (1: this process), or
+    by the workers of a cluster's `client`; yield results as they come.
 
     `work`: function of a module; doing a task twice must leave what doing it once leaves. Raises
     BadInput if a process is killed, the cluster is lost, or one of its own from `work`.
     """
-    if workers.client is not None:
-        yield from _on_cluster(with_given_folders(work), tasks, workers)
+    if client is not None:
+        yield from on_cluster(client, tasks, with_given_folders(work))
         return
     import cv2
 
-    jobs = min(workers.jobs, len(tasks), workers_that_fit())
+    jobs = min(jobs, len(tasks), workers_that_fit())
     threads, before = cv2.getNumThreads(), network_threads()
     try:
         here = before if jobs < 2 else 1
@@ -89,7 +85,7 @@ def workers_that_fit() -> int:
     return 1024
 
 
-def _in_worker(work: Work[Task], threads: int, task: Task) -> Done:
+def _in_worker(work: Callable[[Task], R], threads: int, task: Task) -> R:
     """Do a task; as there are as many workers as cores, a second thread would win no time."""
     import cv2
 
@@ -98,7 +94,12 @@ def _in_worker(work: Work[Task], threads: int, task: Task) -> Done:
     return work(task)
 
 
-def _in_cluster_worker(work: Work[Task], version: str, task: Task) -> Done:
+def job_of(work: Callable[[Task], R]) -> Callable[[Task], R]:
+    """What a worker of a cluster is given to do."""
+    return partial(_in_cluster_worker, work, str(provenance()["version"]))
+
+
+def _in_cluster_worker(work: Callable[[Task], R], version: str, task: Task) -> R:
     """Do a task in a worker of a cluster, which must have the same software."""
     own = provenance()["version"]
     require(
@@ -177,23 +178,23 @@ AHEAD = 3
 """Tasks that a scheduler is given for each thread of its workers. Chosen on: speed."""
 
 
-def _on_cluster(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> Iterator[Done]:
-    """Tasks of a worker that dies are done by another. The scheduler holds a few tasks for each
-    thread of its workers, however many there are in all.
+def on_cluster(client: Any, tasks: Sequence[Task | Any], work: Callable[[Task], R]) -> Iterator[R]:
+    """Do tasks, or futures of them, by the workers of a client; yield results as they come.
+
+    Tasks of a worker that dies are done by another. The scheduler holds a few tasks for each thread
+    of its workers, however many there are in all.
     """
     distributed = importlib.import_module("distributed")
-    client = workers.client
-    job = partial(_in_cluster_worker, work, str(provenance()["version"]))
+    job = job_of(work)
     waiting = iter(tasks)
 
     def submitted(count: int) -> list[Any]:
         return [client.submit(job, task, pure=False) for task in islice(waiting, count)]
 
-    threads = max(sum(client.nthreads().values()), 1)
-    futures = distributed.as_completed(submitted(AHEAD * threads), loop=client.loop)
-    kept = "what is finished is kept"
-    known = set(client.nthreads())
     try:
+        threads = max(sum(client.nthreads().values()), 1)
+        futures = distributed.as_completed(submitted(AHEAD * threads), loop=client.loop)
+        known = set(client.nthreads())
         for future in futures:
             there = set(client.nthreads())
             for address in known - there:
@@ -203,12 +204,14 @@ def _on_cluster(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> It
             futures.update(submitted(1))
     except distributed.KilledWorker as error:
         raise BadInput(
-            f"several workers were killed at one task, perhaps for want of memory; {kept}: give"
-            " them more memory, and run the same again."
+            "several workers were killed at one task, perhaps for want of memory: give them more,"
+            " and run the same again; a batch keeps what is finished."
         ) from error
     except (
         distributed.comm.CommClosedError,
         distributed.client.FutureCancelledError,
         OSError,
     ) as error:
-        raise BadInput(f"the cluster was lost; {kept}: start it and run the same again.") from error
+        raise BadInput(
+            "the cluster was lost: start it and run the same again; a batch keeps what is finished."
+        ) from error
