@@ -157,6 +157,10 @@ CLAIMS = {
         f"{MATCH}/batch/test_batch_workers.py::"
         "test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing",
     ),
+    "of a gallery no template": (
+        f"{MATCH}/gallery/test_gallery_workers.py::"
+        "test_what_dask_moves_or_puts_aside_is_how_a_part_is_read",
+    ),
     "`serve` listens on loopback": (
         f"{MATCH}/gallery/test_serve.py::test_it_is_for_this_machine_and_wants_a_token",
     ),
