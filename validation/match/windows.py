@@ -27,7 +27,7 @@ from typing import Any
 import cv2
 import numpy as np
 from fvc import KNOWN, REAL, Image, Job, features_of, logistic, prints, turned
-from impostors import FOLDER, at_least, ship, table_of
+from impostors import FOLDER, at_least, ship
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 from unseen import Pairs, table, thresholds
@@ -163,7 +163,7 @@ def second(owners: list[list[str]]) -> list[Task]:
 def compare(job: Job, most: int) -> None:
     """Compare the next tasks, in turn of every set; evidence is kept as it comes."""
     file = job.cache / "windows.npy"
-    known = np.load(file) if file.is_file() else np.zeros((0, 10))
+    known = np.load(file) if file.is_file() else np.zeros((0, 11))
     todo = []
     sides: dict[tuple[int, Any], Prepared] = {}
     owners: list[list[str]] = []
@@ -197,6 +197,7 @@ def compare(job: Job, most: int) -> None:
                 task.window[0],
                 task.reference,
                 *match.evidence,
+                match.ridge.overlap_mm2,
             )
         )
         # turned windows are large
@@ -253,7 +254,7 @@ def scored(rows: NDArray[np.float64], by: Constants) -> NDArray[np.float64]:
     """The fusion's scores by these constants of small prints."""
     fusion.BY_OVERLAP = tuple(by.overlap.tolist())
     fusion.BY_OVERLAP_AND_MINUTIAE = tuple(by.both.tolist())
-    return np.array([fusion.fused_score(*row) for row in rows[:, 6:].tolist()])
+    return np.array([fusion.fused_score(*row) for row in rows[:, 6:10].tolist()])
 
 
 def cllr(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
@@ -309,7 +310,7 @@ def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float6
     for set_number in range(len(SETS)):
         part = number == set_number
         score[part] = scored(rows[part], fitted(rows[~part]))
-    overlap = np.nan_to_num(rows[:, 9])
+    overlap = rows[:, 10]
     small = ~np.isnan(rows[:, 9])
     facts: dict[str, Any] = {"comparisons": len(rows), "sizes": {}, "by_overlap": {}, "sets": {}}
     for which, name in ((TOUCHES, "touch to touch"), (WHOLE, "window to whole print")):
@@ -360,13 +361,13 @@ def write(
 ) -> None:
     """Figures, and the table of small prints that the matcher ships; constants are copied by hand
     into ``matching/fusion.py``."""
-    score = scored(rows, constants)
-    same = rows[:, 3] == 1
-    small = ~np.isnan(rows[:, 9])
-    part = (rows[:, 0] != PRINTS) & small & ~same & (np.nan_to_num(rows[:, 9]) >= RATED_MM2)
+    small = rows[(rows[:, 0] != PRINTS) & ~np.isnan(rows[:, 9])]
+    ends = (5 * small[:, 1] + small[:, column] // 8 for column in (4, 5))
+    every = np.column_stack([*ends, small[:, 4], scored(small, constants), small[:, 10]])
     what = "windows of 16 to 100 mm² of real prints of seven sensors"
     touches = np.concatenate([np.load(cache / f"sensor_{k}.npy") for k in range(len(SENSORS_PX))])
-    ship_small(table_of(score[part], what, "validation/match/windows.py"), impostors_of(touches))
+    alone = table(impostors_of(every), what, "validation/match/windows.py")
+    ship_small(alone, impostors_of(touches))
     document = {
         "fitted": {
             "overlap": constants.overlap.tolist(),
@@ -496,7 +497,7 @@ def every_touch(job: Job) -> dict[str, Any]:
             for i, j in itertools.combinations(few, 2):
                 match = fused_match(parts[i], parts[j])
                 same = owner[i] == owner[j]
-                rows.append((TOUCHES, number, mm, same, i, j, *match.evidence))
+                rows.append((TOUCHES, number, mm, same, i, j, *match.evidence, 0.0))
                 both = [parts[i], parts[j]], [wholes[i], wholes[j]]
                 shared.append(shared_mm2(*both) if same else np.inf)
         table, area = np.array(rows, dtype=np.float64), np.array(shared)
@@ -524,7 +525,7 @@ def every_touch(job: Job) -> dict[str, Any]:
 
 
 def impostors_of(rows: NDArray[np.float64]) -> Pairs:
-    """Rated comparisons of touches of two fingers."""
+    """Rated comparisons of parts of two fingers."""
     finger, other, _, score, overlap = rows.T
     kept = (finger != other) & (overlap >= RATED_MM2) & np.isfinite(score)
     ends = finger[kept].astype(int), other[kept].astype(int)
