@@ -5,7 +5,6 @@ overlaps.
     python validation/match/windows.py  # fits, rates and tables from what was compared
     python validation/match/windows.py --write  # and writes what the matcher ships
     python validation/match/windows.py --sensors --write  # small sensors, eight touches; 15 minutes
-    python validation/match/windows.py --touches  # all touches, by what they share; 5 minutes
 
 Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the
 middle of its ridges, one where it is drawn. *Whole*: a window against a whole print of the same
@@ -32,13 +31,10 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 from unseen import Pairs, table, thresholds
 
-from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit_match.evaluation.rates import roc
-from splitknit_match.evaluation.scores import Scores, ids_of
 from splitknit_match.matching import fusion
 from splitknit_match.matching.fusion import SMALL_MM2, fused_match
 from splitknit_match.matching.methods import TABLES, fmr_table
-from splitknit_match.matching.minutia_pairs import on_ridges
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template
 
@@ -375,12 +371,10 @@ def write(
         }
     }
     known = json.loads(OUT.read_text(encoding="utf-8")) if OUT.is_file() else {}
-    document |= {name: known.get(name) for name in ("sensors", "touches")}
+    document["sensors"] = known.get("sensors")
     OUT.write_text(json.dumps({**document, **facts}, indent=1) + "\n", encoding="utf-8")
 
 
-SURE = 1.0
-"""Score of whole prints from which on they lie on each other as they should."""
 SENSORS_PX = {"64 x 80": (80, 64), "80 x 80": (80, 80), "103 x 52": (52, 103)}
 """Rows and columns of small sensors at 500 ppi."""
 ENROLLED = 8
@@ -447,81 +441,6 @@ def sensors(job: Job) -> dict[str, NDArray[np.float64]]:
     return compared
 
 
-def shared_mm2(parts: list[Prepared], wholes: list[Prepared]) -> float:
-    """Skin that two windows share as their whole prints lie on each other; NaN where these do not
-    match, 0 where a window shows none."""
-    if any(part.template.empty for part in parts):
-        return 0.0
-    whole = fused_match(*wholes)
-    if whole.similarity < SURE:
-        return np.nan
-    on_whole, whole_on, other = (
-        (match.ridge.rotation_deg, complex(match.ridge.right_mm, match.ridge.up_mm))
-        for match in (
-            fused_match(parts[0], wholes[0]),
-            whole,
-            fused_match(parts[1], wholes[1]),
-        )
-    )
-    turn = np.exp(1j * np.deg2rad(on_whole[0] + whole_on[0] - other[0]))
-    centre = on_whole[1] * np.exp(1j * np.deg2rad(whole_on[0])) + whole_on[1] - other[1]
-    first, second = (part.template for part in parts)
-    down, right = np.nonzero(second.valid)
-    height, width = second.valid.shape
-    place = second.pitch_mm * (right - (width - 1) / 2 - 1j * (down - (height - 1) / 2))
-    place = (place - centre) / turn / first.pitch_mm
-    middle = (np.array(first.valid.shape[::-1]) - 1) / 2
-    pixels = middle + np.stack([place.real, -place.imag], axis=-1)
-    return float(on_ridges(first.valid, pixels).sum()) * second.pitch_mm**2
-
-
-def every_touch(job: Job) -> dict[str, Any]:
-    """Of each size, all touches of a sensor: equal error rates, those of what shares enough to be
-    rated, and those that remain where all such pairs are decided rightly."""
-    facts = {}
-    settings = BootstrapSettings(replicates=300, targets=(0.01,), curve_points=0)
-    for mm in (8, 6, 5):
-        rows, shared = [], []
-        for number, name in enumerate(SETS):
-            images, owner, impression = prints(name, job)
-            few = [n for n in range(len(owner)) if impression[n] < 4]
-            cuts = {
-                n: part
-                for n, size, which, part in windows(images, number)
-                if (size, which) == (mm, "middle")
-            }
-            parts = {n: Prepared(features_of(cuts[n], "template", job)) for n in few}
-            wholes = {n: Prepared(features_of(images[n], "template", job)) for n in few}
-            for i, j in itertools.combinations(few, 2):
-                match = fused_match(parts[i], parts[j])
-                same = owner[i] == owner[j]
-                rows.append((TOUCHES, number, mm, same, i, j, *match.evidence, 0.0))
-                both = [parts[i], parts[j]], [wholes[i], wholes[j]]
-                shared.append(shared_mm2(*both) if same else np.inf)
-        table, area = np.array(rows, dtype=np.float64), np.array(shared)
-        same, score = table[:, 3] == 1, np.zeros(len(table))
-        for number in range(len(SETS)):
-            part = table[:, 1] == number
-            score[part] = scored(table[part], fitted(table[~part]))
-        finger = [5 * table[:, 1] + table[:, end] // 8 for end in (4, 5)]
-        pairs = Scores(same, score, finger=ids_of(*finger))
-        figure = bootstrap(pairs, "finger", settings).figures["eer"]
-        rated = area >= RATED_MM2
-        facts[f"{mm} mm"] = {
-            "genuine": int(same.sum()),
-            "impostors": int((~same).sum()),
-            "eer": [round(100 * float(end), 1) for end in (figure.value, figure.low, figure.high)],
-            "unknown": int(np.isnan(area).sum()),
-            "genuine_below_4_mm2": int((area < 4).sum()),
-            "genuine_below_6_mm2": int((area < RATED_MM2).sum()),
-            "eer_from_6_mm2": equal_error(score[rated], same[rated]),
-            "eer_if_these_were_right": equal_error(
-                np.where(rated & same, score.max() + 1, score), same
-            ),
-        }
-    return facts
-
-
 def impostors_of(rows: NDArray[np.float64]) -> Pairs:
     """Rated comparisons of parts of two fingers."""
     finger, other, _, score, overlap = rows.T
@@ -581,15 +500,8 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--sensors", action="store_true")
-    parser.add_argument("--touches", action="store_true")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    if options.touches:
-        known = json.loads(OUT.read_text(encoding="utf-8"))
-        known["touches"] = every_touch(Job(options.cache))
-        OUT.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
-        print(json.dumps(known["touches"], indent=1))
-        return
     if options.sensors:
         known = json.loads(OUT.read_text(encoding="utf-8"))
         rows = sensors(Job(options.cache))

@@ -14,7 +14,6 @@ from splitknit_match.matching.ridge import Prepared, ridge_match, scored
 from splitknit_match.matching.template import Template, leveled, print_size, scaled
 from splitknit_match.records.minutiae_record import Minutiae, no_minutiae
 
-
 FINER = (1.35 / (0.1 * 2 * math.pi) / 2) ** 2
 """Ridges on an area of a drawn print over those of the usual two in a millimetre."""
 
@@ -210,7 +209,7 @@ def pairs():
     [
         ("moved", (22.27, 18.98), (0.979, 133.1), (14.5, 1.0, -0.5)),
         ("bent", (18.67, 19.49), (0.967, 143.4), (-1.0, -0.18, 0.15)),
-        ("half", (16.07, 7.14), (0.9745, 70.1), (-114.7, 5.0, 3.0)),
+        ("half", (16.67, 7.14), (0.9745, 70.1), (-114.7, 5.0, 3.0)),
         ("small", (23.60, 18.02), (0.971, 43.4), (40.0, 1.0, -0.5)),
     ],
 )
