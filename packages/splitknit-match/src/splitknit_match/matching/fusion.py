@@ -261,7 +261,7 @@ def fused_score(
 
 def _logit(weights: Sequence[float], *evidence: float) -> float:
     """Weighted sum and offset of a logistic regression."""
-    return sum(map(mul, weights, evidence)) + weights[-1]
+    return float(sum(map(mul, weights, evidence))) + weights[-1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -375,8 +375,7 @@ def _bends(a: Prepared, b: Prepared, affine: Affine) -> list[FloatArray]:
             *(grid.every_centre for grid in grids),
         )
     )
-    turn = a.cylinders.turn + turn_of(affine)
-    shifts = drifted((in_b, turn), (own, b.cylinders.turn), centres)
+    shifts = drifted((in_b, a.cylinders.turn + turn_of(affine)), (own, b.cylinders.turn), centres)
     return [
         (shift / pitch_mm).astype(np.float32).reshape(*grid.grid, 2)
         for grid, shift in zip(grids, shifts, strict=True)
