@@ -24,11 +24,12 @@ import cv2
 import numpy as np
 import skimage.data
 from fvc import FAR_0
-from impostors import ship, table_of
+from impostors import ship
 from numpy.typing import NDArray
 from pressed_prints import SENSORS, press
 from scipy.ndimage import map_coordinates
 from scipy.special import ellipeinc
+from unseen import Pairs, table
 
 from splitknit.errors import BadInput
 from splitknit.io.csv_table import csv_text
@@ -448,10 +449,9 @@ def scores(count: int, work: Path, write: bool) -> None:
     for pressed, (kind, what) in KINDS.items():
         of_kind = [row for row in rows if row.pressed == pressed]
         if write:
-            impostors = [row.score for row in of_kind if not row.same and np.isfinite(row.score)]
             words = f"drawn telephone photographs of {count} simulated fingers, {what}"
             by = "validation/match/telephone.py --write"
-            ship(f"fingerphotos {kind}", table_of(impostors, words, by, seed=SEED))
+            ship(f"fingerphotos {kind}", table(impostors_of(of_kind), words, by))
         rated(kind, of_kind)
 
 
@@ -477,6 +477,14 @@ class Row(NamedTuple):
     def same(self) -> bool:
         """Whether both sides are of one finger."""
         return len(set(self.fingers)) == 1
+
+
+def impostors_of(rows: list[Row]) -> Pairs:
+    """Compared pairs of two fingers."""
+    kept = [row for row in rows if not row.same and np.isfinite(row.score)]
+    a, b = np.array([row.fingers for row in kept], int).T
+    score = np.array([row.score for row in kept])
+    return Pairs(a, b, a, b, score, np.zeros(len(kept), bool))
 
 
 KINDS = {True: ("and prints", "against presses"), False: ("alone", "against each other")}

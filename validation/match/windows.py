@@ -26,7 +26,7 @@ from typing import Any
 import cv2
 import numpy as np
 from fvc import KNOWN, REAL, Image, Job, features_of, logistic, prints, turned
-from impostors import FOLDER, at_least, ship, table_of
+from impostors import FOLDER, at_least, ship
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 from unseen import Pairs, table, thresholds
@@ -159,7 +159,7 @@ def second(owners: list[list[str]]) -> list[Task]:
 def compare(job: Job, most: int) -> None:
     """Compare the next tasks, in turn of every set; evidence is kept as it comes."""
     file = job.cache / "windows.npy"
-    known = np.load(file) if file.is_file() else np.zeros((0, 10))
+    known = np.load(file) if file.is_file() else np.zeros((0, 11))
     todo = []
     sides: dict[tuple[int, Any], Prepared] = {}
     owners: list[list[str]] = []
@@ -193,6 +193,7 @@ def compare(job: Job, most: int) -> None:
                 task.window[0],
                 task.reference,
                 *match.evidence,
+                match.ridge.overlap_mm2,
             )
         )
         # turned windows are large
@@ -249,7 +250,7 @@ def scored(rows: NDArray[np.float64], by: Constants) -> NDArray[np.float64]:
     """The fusion's scores by these constants of small prints."""
     fusion.BY_OVERLAP = tuple(by.overlap.tolist())
     fusion.BY_OVERLAP_AND_MINUTIAE = tuple(by.both.tolist())
-    return np.array([fusion.fused_score(*row) for row in rows[:, 6:].tolist()])
+    return np.array([fusion.fused_score(*row) for row in rows[:, 6:10].tolist()])
 
 
 def cllr(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
@@ -305,7 +306,7 @@ def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float6
     for set_number in range(len(SETS)):
         part = number == set_number
         score[part] = scored(rows[part], fitted(rows[~part]))
-    overlap = np.nan_to_num(rows[:, 9])
+    overlap = rows[:, 10]
     small = ~np.isnan(rows[:, 9])
     facts: dict[str, Any] = {"comparisons": len(rows), "sizes": {}, "by_overlap": {}, "sets": {}}
     for which, name in ((TOUCHES, "touch to touch"), (WHOLE, "window to whole print")):
@@ -356,13 +357,13 @@ def write(
 ) -> None:
     """Figures, and the table of small prints that the matcher ships; constants are copied by hand
     into ``matching/fusion.py``."""
-    score = scored(rows, constants)
-    same = rows[:, 3] == 1
-    small = ~np.isnan(rows[:, 9])
-    part = (rows[:, 0] != PRINTS) & small & ~same & (np.nan_to_num(rows[:, 9]) >= RATED_MM2)
+    small = rows[(rows[:, 0] != PRINTS) & ~np.isnan(rows[:, 9])]
+    ends = (5 * small[:, 1] + small[:, column] // 8 for column in (4, 5))
+    every = np.column_stack([*ends, small[:, 4], scored(small, constants), small[:, 10]])
     what = "windows of 16 to 100 mm² of real prints of seven sensors"
     touches = np.concatenate([np.load(cache / f"sensor_{k}.npy") for k in range(len(SENSORS_PX))])
-    ship_small(table_of(score[part], what, "validation/match/windows.py"), impostors_of(touches))
+    alone = table(impostors_of(every), what, "validation/match/windows.py")
+    ship_small(alone, impostors_of(touches))
     document = {
         "fitted": {
             "overlap": constants.overlap.tolist(),
@@ -379,8 +380,6 @@ SENSORS_PX = {"64 x 80": (80, 64), "80 x 80": (80, 80), "103 x 52": (52, 103)}
 ENROLLED = 8
 """Touches enrolled."""
 MAX_TURN_DEG = 45.0
-BY_WINDOWS = 2.02098
-"""Threshold at the same rate by the windows alone: the highest score of 7,236 impostors."""
 SPREAD = 0.5
 """Of places of touches about the middle of the ridges, over that of the ridges."""
 
@@ -443,7 +442,7 @@ def sensors(job: Job) -> dict[str, NDArray[np.float64]]:
 
 
 def impostors_of(rows: NDArray[np.float64]) -> Pairs:
-    """Rated comparisons of touches of two fingers."""
+    """Rated comparisons of parts of two fingers."""
     finger, other, _, score, overlap = rows.T
     kept = (finger != other) & (overlap >= RATED_MM2) & np.isfinite(score)
     ends = finger[kept].astype(int), other[kept].astype(int)
@@ -456,6 +455,8 @@ def of_sensor(rows: NDArray[np.float64], every: Pairs) -> dict[str, Any]:
     finger, other, _, score, overlap = rows.T
     same = finger == other
     stated = fmr_table("windows").smallest
+    shipped = json.loads((FOLDER / TABLES["windows"]).read_text(encoding="utf-8"))
+    by_windows = shipped["measured"]["similarity"][-1]
     threshold = np.zeros(len(rows))
     for number in range(len(SETS)):
         ends = thresholds(every.taken(~every.of_set(number)), (stated,))[1]
@@ -477,7 +478,7 @@ def of_sensor(rows: NDArray[np.float64], every: Pairs) -> dict[str, Any]:
         "probes": int(missed.size),
         "impostors": int((~same).sum()),
         "false_matches": int((accepted & ~same).sum()),
-        "by_windows_alone": int(((score >= BY_WINDOWS) & (overlap >= RATED_MM2) & ~same).sum()),
+        "by_windows_alone": int(((score >= by_windows) & (overlap >= RATED_MM2) & ~same).sum()),
         "genuine_by_overlap": by_overlap,
     }
 

@@ -242,17 +242,18 @@ def test_little_overlap_is_not_rated_and_excludes_nothing():
     assert methods.rate(0.9, "ridge", 49.0, 0.01, TABLE).answer == "match"
 
 
-def test_smaller_rates_are_extrapolated_but_not_of_small_prints():
+@pytest.mark.parametrize("scores", ["windows", "fingerphotos alone"])
+def test_smaller_rates_are_extrapolated_but_not_of_small_prints_and_photographs(scores):
     rated = methods.rate(3.0, "ridge", None, 1e-4, TABLE)
     assert rated.decision.threshold == pytest.approx(TABLE.beyond(1e-4)[0], abs=2e-5)
     assert rated.decision.expected_fmr == TABLE.beyond(1e-4)[1]
-    small = methods.rate(3.0, "windows", None, 1e-4, TABLE)
-    assert small.undecided == (
-        "on small prints false match rates below 0.001 were not measured; leave `fmr` out, or give"
+    few = methods.rate(3.0, scores, None, 1e-4, TABLE)
+    assert few.undecided == (
+        "of such pairs false match rates below 0.001 were not measured; leave `fmr` out, or give"
         " a larger one"
     )
-    assert (small.fmr, small.decision) == (0.001, None)
-    assert methods.rate(3.0, "windows", None, 1e-3, TABLE).answer == "match"
+    assert (few.fmr, few.decision) == (0.001, None)
+    assert methods.rate(3.0, scores, None, 1e-3, TABLE).answer == "match"
     with bad_input(r"rates below 1e-05 cannot .* 999 .*>= 1e-05.*gave 9e-06"):
         methods.rate(3.0, "ridge", None, 9e-6, TABLE)
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from operator import itemgetter
+from operator import itemgetter, mul
 
 import numpy as np
 
@@ -62,7 +62,8 @@ class _FusedMatch:
     evidence: tuple[float, float, float, float]
     """What the score is made of: agreeing minutiae over the root of those that could agree and nine
     more, correlation of the bent ridges, `minutiae`; of a small print or one without minutiae also
-    the area that overlaps, mm2; NaN where there is none."""
+    the area, mm2, on which the ridges that overlap would lie two in a millimetre; NaN where there
+    is none."""
 
     @property
     def compared(self) -> bool:
@@ -134,27 +135,30 @@ def fused_match(
     if (many or small) and left.cylinders is not None and right.cylinders is not None:
         pairings = pair_minutiae(left.cylinders, right.cylinders)
         minutiae = pairings[0].support if pairings else 0.0
-    fraction = overlap_mm2 = math.nan
+    fraction = correlation = overlap_mm2 = math.nan
     support = math.nan if minutiae is None else minutiae
     if a.template.empty or b.template.empty:
-        evidence = fraction, math.nan, support, overlap_mm2
-        return _FusedMatch(fused_score(*evidence), minutiae, ridge_match(left, right), evidence)
-    if small:
-        best = _best_pose(left, right, pairings)
-        overlap_mm2 = best.ridge.overlap_mm2
+        ridge = ridge_match(left, right)
     else:
-        best = _best_alignment(left, right, pairings, drift=minutiae is not None, quick=quick)
-    correlation = best.correlation
-    if minutiae is not None:
-        count, possible = _agreeing_minutiae(left, right, best.patches, best.affine, best.bend)
-        fraction = count / math.sqrt(possible + _FEW)
-    elif not small:
-        assert best.bend is not None
-        correlation, overlap_mm2 = overlap_correlation(
-            best.patches, left.band, right.band, best.affine, best.bend
-        )
+        if small:
+            best = _best_pose(left, right, pairings)
+            overlap_mm2 = best.ridge.overlap_mm2
+        else:
+            best = _best_alignment(left, right, pairings, drift=minutiae is not None, quick=quick)
+        correlation = best.correlation
+        if minutiae is not None:
+            count, possible = _agreeing_minutiae(left, right, best.patches, best.affine, best.bend)
+            fraction = count / math.sqrt(possible + _FEW)
+        elif not small:
+            assert best.bend is not None
+            correlation, overlap_mm2 = overlap_correlation(
+                best.patches, left.band, right.band, best.affine, best.bend
+            )
+        ridge = placed(best.ridge, inverse(best.affine) if swapped else best.affine, a, b)
+    if not math.isnan(overlap_mm2):
+        # as an area with as many ridges at the usual two in a millimetre
+        overlap_mm2 *= math.exp(_log_frequency(a.template) + _log_frequency(b.template)) / 4
     evidence = fraction, correlation, support, overlap_mm2
-    ridge = placed(best.ridge, inverse(best.affine) if swapped else best.affine, a, b)
     return _FusedMatch(fused_score(*evidence), minutiae, ridge, evidence)
 
 
@@ -231,11 +235,11 @@ BY_MINUTIAE = (0.8927, -3.947)
 """Logistic regression of prints of which only minutiae could be compared: weight of the support of
 their alignment, and offset. Both classes have equal weight. Chosen on: simulated prints
 (validation/match/fvc.py --fit)."""
-BY_OVERLAP = (8.4813, 0.5001, -5.6423)
+BY_OVERLAP = (6.835, 1.125, -6.028)
 """Logistic regression of prints without minutiae: weights of the correlation and of that times the
 root of the area that overlaps, and offset. Both classes have equal weight. Chosen on: real prints
 (windows of them, validation/match/windows.json)."""
-BY_OVERLAP_AND_MINUTIAE = (4.8715, 8.1117, 0.5104, -6.1373)
+BY_OVERLAP_AND_MINUTIAE = (4.7409, 7.7644, 0.6298, -6.2356)
 """Logistic regression of small prints: weights of agreeing minutiae, of the correlation, and of
 that times the root of the area that overlaps, and offset. Both classes have equal weight. Chosen
 on: real prints (windows of them, validation/match/windows.json)."""
@@ -246,19 +250,18 @@ def fused_score(
 ) -> float:
     """Log-likelihood ratio by both kinds of evidence, or by what is not NaN."""
     if math.isnan(correlation):
-        return BY_MINUTIAE[0] * support + BY_MINUTIAE[1] if support > 0 else BY_BOTH[2]
+        return _logit(BY_MINUTIAE, support) if support > 0 else BY_BOTH[2]
     if math.isnan(overlap_mm2):
-        return BY_BOTH[0] * agreeing_minutiae + BY_BOTH[1] * correlation + BY_BOTH[2]
+        return _logit(BY_BOTH, agreeing_minutiae, correlation)
     over_area = correlation * math.sqrt(min(overlap_mm2, SMALL_MM2))
     if math.isnan(agreeing_minutiae):
-        return BY_OVERLAP[0] * correlation + BY_OVERLAP[1] * over_area + BY_OVERLAP[2]
-    weights = BY_OVERLAP_AND_MINUTIAE
-    return (
-        weights[0] * agreeing_minutiae
-        + weights[1] * correlation
-        + weights[2] * over_area
-        + weights[3]
-    )
+        return _logit(BY_OVERLAP, correlation, over_area)
+    return _logit(BY_OVERLAP_AND_MINUTIAE, agreeing_minutiae, correlation, over_area)
+
+
+def _logit(weights: Sequence[float], *evidence: float) -> float:
+    """Weighted sum and offset of a logistic regression."""
+    return float(sum(map(mul, weights, evidence))) + weights[-1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -325,8 +328,11 @@ def _best_alignment(
 def _best_pose(a: Prepared, b: Prepared, pairings: list[Pairing]) -> _Alignment:
     """How a small B lies on A: the bent pose whose ridges agree best, for the area that they
     cover."""
-    starts = every_pose(a.views, b.views) + [pairing.affine(a.band, b.band) for pairing in pairings]
-    agreements = [(compare_patches(b.close, a.band, start), start) for start in starts]
+    agreements = [
+        (compare_patches(b.close, a.band, start), start)
+        for start in every_pose(a.views, b.views)
+        + [pairing.affine(a.band, b.band) for pairing in pairings]
+    ]
     agreements.sort(key=lambda pose: -pose[0].evidence)
     poses = []
     for agreement, affine in agreements[:3]:  # poses of a small print that are bent
@@ -369,8 +375,7 @@ def _bends(a: Prepared, b: Prepared, affine: Affine) -> list[FloatArray]:
             *(grid.every_centre for grid in grids),
         )
     )
-    turn = a.cylinders.turn + turn_of(affine)
-    shifts = drifted((in_b, turn), (own, b.cylinders.turn), centres)
+    shifts = drifted((in_b, a.cylinders.turn + turn_of(affine)), (own, b.cylinders.turn), centres)
     return [
         (shift / pitch_mm).astype(np.float32).reshape(*grid.grid, 2)
         for grid, shift in zip(grids, shifts, strict=True)

@@ -239,10 +239,8 @@ def _by_templates(method: str, a: Side, b: Side, common: Common) -> tuple[MatchO
     Raises BadInput if a side holds no ridges, or of the method fusion no minutiae.
     """
     templates = [_comparable(method, side) for side in (a, b)]
-    left, right = (
-        side.prepared or _ready(template) for side, template in zip((a, b), templates, strict=True)
-    )
-    pair = compare_templates(method, left, right)
+    sides = zip((a, b), templates, strict=True)
+    pair = compare_templates(method, *(side.prepared or _ready(known) for side, known in sides))
     ridge = pair.ridge
     common = {
         **common,
@@ -500,8 +498,8 @@ def rate(
     """Answer and false match rate of a similarity by `scores` (:func:`scores_of`) or `own` rates,
     decided at `fmr`.
 
-    Raises BadInput if no rate as small as `fmr` was measured (but of small prints, which are
-    undecided).
+    Raises BadInput if no rate as small as `fmr` was measured (but of small prints and photographs,
+    which are undecided).
     """
     if own is None and scores not in TABLES:
         method = scores.removesuffix(" small")
@@ -518,10 +516,10 @@ def rate(
             " more"
         )
     rated = Rated(fmr=table(similarity - FMR_ROUNDING), fmr_basis=table.basis)
-    at = max(DECIDED_AT, table.smallest) if fmr is None else fmr
-    if at < table.smallest and scores == "windows":
+    at = fmr or max(DECIDED_AT, table.smallest)
+    if at < table.smallest and scores.startswith(("windows", "fingerphotos")):
         why = (
-            f"on small prints false match rates below {table.smallest:.2g} were not measured;"
+            f"of such pairs false match rates below {table.smallest:.2g} were not measured;"
             " leave `fmr` out, or give a larger one"
         )
         return replace(rated, undecided=why)
@@ -534,8 +532,11 @@ def rate(
         )
         return replace(rated, undecided=why)
     expected = table.beyond(at)[1] if at < table.smallest else None
-    decision = MatchDecision(match, at, threshold, expected)
-    return replace(rated, decision=decision, answer="match" if match else "no match")
+    return replace(
+        rated,
+        decision=MatchDecision(match, at, threshold, expected),
+        answer="match" if match else "no match",
+    )
 
 
 def check_rate(fmr: Any) -> None:
