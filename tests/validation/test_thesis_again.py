@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tarfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -223,3 +224,29 @@ def test_a_capture_differs_from_the_frozen_one_beyond_a_thousandth(thesis: Scrip
     assert benchmark.differing_from(known, [row | {"white": 30020.0}]) == []
     for change in ({"white": 30040.0}, {"height_mm": 4.9}, {"rig": "b"}):
         assert benchmark.differing_from(known, [row | change]) == [row["capture"]], change
+
+
+def test_every_view_of_the_harder_population_shows_the_crease(
+    tmp_path: Path,
+    thesis: Script,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    harder = thesis("harder")
+    monkeypatch.setattr(harder, "SETTINGS", replace(harder.SETTINGS, scale=0.08))
+    options = f"--out {tmp_path} --subjects 1 --fingers right_middle --sessions 4".split()
+    assert harder.main(options) == 0
+    names = capsys.readouterr().out.split()
+    assert names == [f"S01/session_{k}/right_middle" for k in (1, 2, 3, 4)]
+    facts = [json.loads((tmp_path / name / "impression.json").read_text()) for name in names]
+    assert {each["worn"] for each in facts} == {facts[0]["worn"]}
+    assert all((each["dryness"] > 0) != (each["motion_mm"] > 0) for each in facts)
+    assert len({each["motion_mm"] > 0 for each in facts}) == 2, "both kinds"
+    for name in names:
+        with np.load(tmp_path / name / "truth.npz") as truth:
+            rows = np.flatnonzero(truth["mask"].any(axis=1))
+            pitch_mm = float(truth["pitch_mm"])
+            assert "glare_white" not in truth
+        assert (rows[-1] - rows[0]) * pitch_mm > harder.LONGEST_MM + 2
+    assert harder.main(options) == 0
+    assert capsys.readouterr().out == "", "nothing is left to do"

@@ -153,7 +153,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--out", type=Path, required=True, help="folder of the captures")
     parser.add_argument(
-        "--scale", type=float, help="of the images; 1 is 2200 x 3200 pixels; 0.3, behind films 0.5"
+        "--scale",
+        type=float,
+        help="of the images; 1 is 2200 x 3200 pixels; whole fingers 0.3, parts 0.5",
     )
     parser.add_argument("--walks", type=float, default=16.0, help="for each pixel and channel")
     parser.add_argument("--threads", type=int, default=2, help="the result does not depend on it")
@@ -178,7 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     make_cut(
                         case,
                         options.out,
-                        options.scale or (0.5 if case.films else 0.3),
+                        options.scale or 0.5,
                         options.walks,
                         options.threads,
                     )

@@ -303,6 +303,7 @@ def _drifted(rig: Rig, rng: np.random.Generator, spread: float) -> Rig:
 
 
 def twin_settings_of(settings: PopulationSettings, impression: _Impression) -> TwinSettings:
+    """Surroundings and camera of this impression."""
     return TwinSettings(
         render=settings.render,
         films=settings.films,
