@@ -45,7 +45,6 @@ from splitknit.skin.learned import (
     relief_of_output,
     stated_deviation,
     variance_restored,
-    with_gain_uncertainty,
 )
 from splitknit.skin.light import slant_of
 from splitknit.skin.polarised import polarised_heights, specular_images
@@ -372,7 +371,6 @@ def relief_and_shape(
     output = (
         upright if films is not None else relief_network(network, _TURNED, upright)(light.fields)
     )
-    slopes = light.fields[[3, 4, 7, 8]]
     del light
     first = relief_of_output(upright, levels, grid, smooth)
     for _ in range(refinements):
@@ -380,8 +378,7 @@ def relief_and_shape(
         shape = refined_shape(shape, first.relief_mm, images, optics, networks.shape)
         smooth = on_fine_grid(shape.height_mm, images)
     if films is None:
-        relief = variance_restored(relief_of_output(output, levels, grid, smooth))
-        return smooth, with_gain_uncertainty(relief, slopes, grid)
+        return smooth, variance_restored(relief_of_output(output, levels, grid, smooth))
     light = features(
         films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films))
     )
