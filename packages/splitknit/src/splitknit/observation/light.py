@@ -395,7 +395,7 @@ class Light:
         )
         if shared.ambient is not None:
             # clipped values stay as they are, and still count as clipped
-            light -= np.where(light < self._clip_levels()[k], shared.ambient, np.float32(0.0))
+            np.subtract(light, shared.ambient, out=light, where=light < self._clip_levels()[k])
         if shared.lens is not None:
             light /= shared.lens
         if shared.flats is not None:
