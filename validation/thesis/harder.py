@@ -3,9 +3,9 @@ matching difficult.
 
     python validation/thesis/harder.py --out people                 # 17 people, two sessions
     splitknit batch --cases snk,pr,ea,ea-split,metric --matchers thesis,ridge \\
-        --impostors 0.2 people --out store
+        --impostors 0.5 --seed 5171 people --out store
     python validation/thesis/run.py cases --population people --store store \\
-        --cases snk pr ea ea-split metric --out tables/hard
+        --cases snk pr ea ea-split metric --out TABLES      # rates; BENCHMARK.md has them
 
 People, prints and poses are drawn as `splitknit simulate population` draws them. Four things differ:
 
@@ -91,8 +91,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def population_text() -> bytes:
     """What tells this population from any other: all its settings and ranges, with their hash."""
-    names = ("LONGEST_MM", "INSERTION_MM", "WORN", "DRYNESS", "MOTION_MM", "FULL_WELL_E")
-    ranges = {name.lower(): globals()[name] for name in (*names, "READ_NOISE_E")}
+    ranges = {
+        "longest_mm": LONGEST_MM,
+        "insertion_mm": INSERTION_MM,
+        "worn": WORN,
+        "dryness": DRYNESS,
+        "motion_mm": MOTION_MM,
+        "full_well_e": FULL_WELL_E,
+        "read_noise_e": READ_NOISE_E,
+    }
     settings = plain_json(SETTINGS) | {"harder": ranges}
     document = {"settings": settings, "settings_sha256": settings_hash(settings)}
     return json_text(document).encode("ascii")
