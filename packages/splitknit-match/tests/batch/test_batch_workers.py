@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from batch_stores import run, tables
+from clusters import local_cluster
 from refusals import bad_input
 from splitknit.cli.main import main
 from splitknit.networks.unet import network_threads
@@ -134,16 +135,7 @@ def tls(tmp_path_factory):
     security = distributed.Security(
         require_encryption=True, tls_ca_file=str(good / "ca.pem"), **pair
     )
-    with distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tls://",
-        host="127.0.0.1",
-        security=security,
-        dashboard_address="127.0.0.1:0",
-        silence_logs="CRITICAL",
-    ) as cluster:
+    with local_cluster(1, processes=False, protocol="tls://", security=security) as cluster:
         yield cluster.scheduler_address, good, foreign
 
 
@@ -305,11 +297,8 @@ def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(tmp
 
 @pytest.mark.slow
 def test_a_killed_worker_of_a_cluster_loses_nothing(people, tmp_path, caplog):
-    distributed = pytest.importorskip("distributed")
     out = tmp_path / "cluster"
-    with distributed.LocalCluster(
-        n_workers=3, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs="CRITICAL"
-    ) as cluster:
+    with local_cluster(3) as cluster:
         pids = [worker.pid for worker in cluster.workers.values()]
         with when_begun(out, lambda: os.kill(pids[0], signal.SIGKILL)) as killed:
             facts = run(people, out, "ridge", "thesis", scheduler=cluster.scheduler_address)

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 import splitknit_match
+from clusters import local_cluster
 from refusals import bad_input
 from splitknit.cli.main import main
 from splitknit_match.gallery.file import _part
@@ -40,22 +41,9 @@ def file(templates, tmp_path, monkeypatch):
     return gallery.path
 
 
-def cluster_of(*, processes):
-    distributed = pytest.importorskip("distributed")
-    return distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=processes,
-        protocol="tcp://",
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-        silence_logs="CRITICAL",
-    )
-
-
 @pytest.fixture(scope="module")
 def scheduler():
-    with cluster_of(processes=False) as cluster:
+    with local_cluster(2, processes=False, protocol="tcp://") as cluster:
         yield cluster.scheduler_address
 
 
@@ -102,7 +90,7 @@ def test_what_dask_moves_or_puts_aside_is_how_a_part_is_read(file):
 @pytest.mark.slow
 def test_a_killed_worker_changes_no_answer(file, probe, caplog):
     expected = splitknit_match.Gallery(file).identify(probe)
-    with cluster_of(processes=True) as cluster:
+    with local_cluster(2) as cluster:
         pids = [worker.pid for worker in cluster.workers.values()]
 
         def kill(stage, fraction):
@@ -121,7 +109,7 @@ def test_a_cluster_that_is_gone_is_said(file, probe):
     import dask
 
     with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
-        cluster = cluster_of(processes=False)
+        cluster = local_cluster(2, processes=False, protocol="tcp://")
         with splitknit_match.Gallery(file, scheduler=cluster.scheduler_address) as gallery:
             gallery.identify(probe)
             cluster.close()
