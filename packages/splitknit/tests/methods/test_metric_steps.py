@@ -31,7 +31,7 @@ from splitknit.methods.photometry import MAX_SLOPE
 from splitknit.presets import PRESETS
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import SkinImages
-from splitknit.skin.learned import Networks
+from splitknit.skin.learned import GAIN_UNCERTAINTY, Networks
 from splitknit.skin.relief import KNIT_MM
 
 METRIC = PRESETS["metric"]
@@ -320,10 +320,12 @@ class TestOnPixels:
 
     def test_the_gain_is_part_of_the_uncertainty_of_modelled_ridges(self, monkeypatch):
         known = {"relief_rms_um": 20.0, "relief_error_um": 2.0, "gloss": 1.0}
-        facts = {"relief_by": "network", "gain_uncertainty": 0.5, **known}
-        first = replace(skin_surface(), facts=facts)
+        first = replace(skin_surface(), facts={"relief_by": "network", **known})
         monkeypatch.setattr(metric, "metric_skin", lambda *_: first)
         images = skin_images()
+        still = metric._on_pixels(images, METRIC, 0.3, wet_sd=0.0)
+        assert still.facts["optics"]["gain_uncertainty"] == GAIN_UNCERTAINTY
+        monkeypatch.setattr(metric, "GAIN_UNCERTAINTY", 0.5)
         surface = metric._on_pixels(images, METRIC, 0.3, wet_sd=1.2)
         fields = first.relief_mm, first.deviation_mm, first.shape_mm
         stated = metric.stated_deviation(*fields, images.grid, 1.3)

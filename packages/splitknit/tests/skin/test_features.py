@@ -12,7 +12,6 @@ from splitknit.imaging.pixels import bin_mean
 from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.learned import (
     COUNT,
-    GAIN_UNCERTAINTY,
     OWN_ERROR,
     RELIEF_MM,
     RIDGE_BAND_MM,
@@ -170,7 +169,6 @@ def test_the_relief_is_the_network_output_without_its_offset(scene):
     slant = slant_of(placed(scene), grid.pitch_mm)
     assert_allclose(stated[inner], np.interp(slant[inner], SLANT_DEG, SLANT_ERROR), rtol=0.01)
     assert stated[inner & (slant < 10)].max() < 0.95 and np.ptp(slant[inner]) > 10
-    assert drawn_relief.facts["gain_uncertainty"] == GAIN_UNCERTAINTY
 
 
 def drawn_estimate(scene, rms_um, trust=None):

@@ -37,6 +37,7 @@ from splitknit.skin.diffusion import Diffusion, SkinSettings
 from splitknit.skin.grid import BandImages, Grid, Slopes, smooth_step
 from splitknit.skin.images import SEPARATED_BY, MetricSettings, SkinImages, working_images
 from splitknit.skin.learned import (
+    GAIN_UNCERTAINTY,
     Networks,
     features,
     refined_shape,
@@ -515,7 +516,7 @@ def _on_pixels(
     relief_by = surface.facts["relief_by"]
     deviation_mm = surface.deviation_mm
     if relief_by == "network":
-        gain = math.hypot(surface.facts["gain_uncertainty"], wet_sd)
+        gain = math.hypot(GAIN_UNCERTAINTY, wet_sd)
         surface = replace(surface, facts={**surface.facts, "gain_uncertainty": gain})
         deviation_mm = stated_deviation(
             surface.relief_mm, deviation_mm, surface.shape_mm, images.grid, gain

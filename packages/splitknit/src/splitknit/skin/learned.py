@@ -281,7 +281,6 @@ def relief_of_output(
             "gloss": gloss,
             "relief_rms_um": 1000 * float(np.sqrt(power)),
             "relief_error_um": 1000 * float(np.sqrt(error)),
-            "gain_uncertainty": GAIN_UNCERTAINTY,
         },
     )
 
