@@ -178,7 +178,7 @@ AHEAD = 3
 """Tasks that a scheduler is given for each thread of its workers. Chosen on: speed."""
 
 
-def on_cluster(client: Any, tasks: Sequence[Task | Any], work: Callable[[Task], R]) -> Iterator[R]:
+def on_cluster(client: Any, tasks: Sequence[Any], work: Callable[[Task], R]) -> Iterator[R]:
     """Do tasks, or futures of them, by the workers of a client; yield results as they come.
 
     Tasks of a worker that dies are done by another. The scheduler holds a few tasks for each thread

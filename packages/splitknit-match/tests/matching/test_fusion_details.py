@@ -123,9 +123,11 @@ def test_a_moved_print_is_found_by_both(rows, columns):
     assert support == match.minutiae > 5
     assert match.similarity == fused_score(*match.evidence)
     small = rows * columns < 10_000
+    sides = Prepared(a), Prepared(b)
     assert math.isnan(overlap_mm2) != small
     if small:
         assert overlap_mm2 == pytest.approx(b.area_mm2 * FINER, rel=0.2)
+        assert overlap_mm2 == pytest.approx(fusion._at_usual_period(b.area_mm2, *sides), rel=0.05)
         assert match.ridge.overlap_mm2 == pytest.approx(b.area_mm2, rel=0.05)
         assert match.ridge.correlation == correlation == match.ridge.similarity
     assert match.compared
@@ -142,6 +144,8 @@ def test_prints_without_minutiae_are_rated_by_their_overlap():
     assert match.minutiae is None
     assert correlation > 0.85
     assert overlap_mm2 == pytest.approx(b.area_mm2 * FINER, rel=0.2)
+    sides = Prepared(a), Prepared(b)
+    assert overlap_mm2 == pytest.approx(fusion._at_usual_period(b.area_mm2, *sides), rel=0.05)
     assert match.similarity == fused_score(*match.evidence)
     assert match.ridge.similarity == pytest.approx(ridge_match(a, b).similarity, abs=1e-6)
 

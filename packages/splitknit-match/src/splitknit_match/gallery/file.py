@@ -358,7 +358,7 @@ def _parts(entries: Iterable[int]) -> list[list[int]]:
 
 
 def _part(path: Path, rows: tuple[int, int]) -> People:
-    """Rows that a worker of a cluster holds."""
+    """The part of a gallery between two rows, as a worker of a cluster holds it."""
     file = GalleryFile(path)
     file._sound = (_stamp_of(path) or ())[:2]  # the client looked
     part = file.people(rows=rows)

@@ -155,11 +155,16 @@ def fused_match(
                 best.patches, left.band, right.band, best.affine, best.bend
             )
         ridge = placed(best.ridge, inverse(best.affine) if swapped else best.affine, a, b)
-    if not math.isnan(overlap_mm2):
-        # as an area with as many ridges at the usual two in a millimetre
-        overlap_mm2 *= math.exp(_log_frequency(a.template) + _log_frequency(b.template)) / 4
-    evidence = fraction, correlation, support, overlap_mm2
+    evidence = fraction, correlation, support, _at_usual_period(overlap_mm2, a, b)
     return _FusedMatch(fused_score(*evidence), minutiae, ridge, evidence)
+
+
+def _at_usual_period(overlap_mm2: float, a: Prepared, b: Prepared) -> float:
+    """Area with as many ridges as the overlap, where two lie in a millimetre; NaN of NaN."""
+    if math.isnan(overlap_mm2):
+        return math.nan
+    per_mm2 = math.exp(_log_frequency(a.template) + _log_frequency(b.template))
+    return overlap_mm2 * per_mm2 / 4
 
 
 _SCALES = (1.0, 0.94, 1.06, 0.88, 1.12)
@@ -248,7 +253,8 @@ on: real prints (windows of them, validation/match/windows.json)."""
 def fused_score(
     agreeing_minutiae: float, correlation: float, support: float, overlap_mm2: float
 ) -> float:
-    """Log-likelihood ratio by both kinds of evidence, or by what is not NaN."""
+    """Log-likelihood ratio by both kinds of evidence, or by what is not NaN; `overlap_mm2`: at the
+    usual period."""
     if math.isnan(correlation):
         return _logit(BY_MINUTIAE, support) if support > 0 else BY_BOTH[2]
     if math.isnan(overlap_mm2):
@@ -328,11 +334,8 @@ def _best_alignment(
 def _best_pose(a: Prepared, b: Prepared, pairings: list[Pairing]) -> _Alignment:
     """How a small B lies on A: the bent pose whose ridges agree best, for the area that they
     cover."""
-    agreements = [
-        (compare_patches(b.close, a.band, start), start)
-        for start in every_pose(a.views, b.views)
-        + [pairing.affine(a.band, b.band) for pairing in pairings]
-    ]
+    starts = every_pose(a.views, b.views) + [pairing.affine(a.band, b.band) for pairing in pairings]
+    agreements = [(compare_patches(b.close, a.band, start), start) for start in starts]
     agreements.sort(key=lambda pose: -pose[0].evidence)
     poses = []
     for agreement, affine in agreements[:3]:  # poses of a small print that are bent
@@ -375,7 +378,8 @@ def _bends(a: Prepared, b: Prepared, affine: Affine) -> list[FloatArray]:
             *(grid.every_centre for grid in grids),
         )
     )
-    shifts = drifted((in_b, a.cylinders.turn + turn_of(affine)), (own, b.cylinders.turn), centres)
+    turn = a.cylinders.turn + turn_of(affine)
+    shifts = drifted((in_b, turn), (own, b.cylinders.turn), centres)
     return [
         (shift / pitch_mm).astype(np.float32).reshape(*grid.grid, 2)
         for grid, shift in zip(grids, shifts, strict=True)

@@ -239,8 +239,10 @@ def _by_templates(method: str, a: Side, b: Side, common: Common) -> tuple[MatchO
     Raises BadInput if a side holds no ridges, or of the method fusion no minutiae.
     """
     templates = [_comparable(method, side) for side in (a, b)]
-    sides = zip((a, b), templates, strict=True)
-    pair = compare_templates(method, *(side.prepared or _ready(known) for side, known in sides))
+    left, right = (
+        side.prepared or _ready(template) for side, template in zip((a, b), templates, strict=True)
+    )
+    pair = compare_templates(method, left, right)
     ridge = pair.ridge
     common = {
         **common,
@@ -532,11 +534,8 @@ def rate(
         )
         return replace(rated, undecided=why)
     expected = table.beyond(at)[1] if at < table.smallest else None
-    return replace(
-        rated,
-        decision=MatchDecision(match, at, threshold, expected),
-        answer="match" if match else "no match",
-    )
+    decision = MatchDecision(match, at, threshold, expected)
+    return replace(rated, decision=decision, answer="match" if match else "no match")
 
 
 def check_rate(fmr: Any) -> None:
