@@ -26,6 +26,7 @@ from splitknit.workers import run_jobs
 
 FIELDS = 32  # fields that `relief` and `shape` see, the first of a sample
 LAST_RATE = 0.02  # learning rate at the end of a training, relative to its maximum
+FURTHER_RATE = 0.4  # that of a network that is trained further, likewise
 # of the exported network, over the output's range: its weights are stored in half precision
 MAX_DIFFERENCE = 0.02
 
@@ -245,13 +246,14 @@ def report(out, rows, row):
 # -------------------------
 
 
-def draw_patch(task, samples, whole, rng):
+def draw_patch(task, pools, rng):
     """(channels, side, side) anywhere in any sample that holds enough skin; zero where it reaches
-    over the sample."""
+    over the sample. `pools`: samples, and the share of the patches cut from them, of each kind."""
     side, beyond = task.patch_px, task.beyond_px
+    shares = np.array([share for share, _ in pools])
     while True:
-        pool = whole if len(whole) > 0 and rng.random() < task.whole_share else samples
-        sample = pool[int(rng.integers(len(pool)))]
+        samples = pools[int(rng.choice(len(pools), p=shares / shares.sum()))][1]
+        sample = samples[int(rng.integers(len(samples)))]
         corner = [
             int(rng.integers(-beyond, max(1 - beyond, length - side + beyond)))
             for length in sample.shape[1:]
@@ -281,12 +283,12 @@ def mirrored(symmetry, fields):
     return swapped
 
 
-def draw_batch(task, samples, whole, iteration):
+def draw_batch(task, pools, iteration):
     """(batch, channels, side, side) of an iteration, in one of eight orientations each."""
     rng = np.random.default_rng(np.random.SeedSequence([0, 0xBE, iteration]))
     patches = []
     for _ in range(task.batch):
-        patch = draw_patch(task, samples, whole, rng)
+        patch = draw_patch(task, pools, rng)
         swapped, quarters = _ORIENTATIONS[rng.integers(8)]
         patch = mirrored(task.symmetry, patch) if swapped else patch
         patch = task.symmetry.turned(patch, quarters)
@@ -297,21 +299,37 @@ def draw_batch(task, samples, whole, iteration):
     return np.stack(patches)
 
 
-def field_scale(task, samples, whole):
+def field_scale(task, pools):
     """(32,) factors that bring the fields to about one scale: one over their standard deviation in
     a few patches."""
     rng = np.random.default_rng(np.random.SeedSequence([0, 0x5C]))
-    drawn = [draw_patch(task, samples, whole, rng)[:FIELDS] for _ in range(task.scale_patches)]
+    drawn = [draw_patch(task, pools, rng)[:FIELDS] for _ in range(task.scale_patches)]
     return np.asarray(
         1.0 / np.maximum(np.stack(drawn).std(axis=(0, 2, 3)), task.min_deviation), dtype=np.float32
     )
 
 
+def weights_of(file):
+    """Weights and field scale of a network that :func:`train_fields` wrote, by their names."""
+    import onnx
+
+    stored = onnx.load(file).graph.initializer
+    return {
+        each.name: torch.from_numpy(onnx.numpy_helper.to_array(each).astype(np.float32))
+        for each in stored
+    }
+
+
 def train_fields(
-    task, out, command, samples, held_out, *, whole=(), iterations, threads=1, device="cpu"
+    task, out, command, pools, held_out, *, iterations, start=None, threads=1, device="cpu"
 ):
-    """Train `relief` or `shape` (a `Task` of their scripts), and write it into `out`."""
-    scale = field_scale(task, samples, whole)
+    """Train `relief` or `shape` (a `Task` of their scripts), and write it into `out`.
+
+    `pools`: see :func:`draw_patch`; `held_out`: samples of each kind that it is judged on; `start`:
+    network whose weights it begins with.
+    """
+    begun = weights_of(start) if start else {}
+    scale = begun["scale"].numpy() if begun else field_scale(task, pools)
     training = Training(
         lambda: FieldsUNet(task.widths, scale, task.outputs),
         seed=0,
@@ -321,25 +339,32 @@ def train_fields(
         weight_decay=task.weight_decay,
         gradient_limit=5.0,
     )
+    if begun:
+        training.network.load_state_dict({**begun, "scale": torch.from_numpy(scale)})
+    peak = task.learning_rate * (FURTHER_RATE if begun else 1.0)
     rows, losses = [], []
     stride = 2 ** (len(task.widths) - 1)
     for iteration in range(iterations):
         training.network.train()
-        patches = training.tensor(draw_batch(task, samples, whole, iteration))
+        patches = training.tensor(draw_batch(task, pools, iteration))
         seen = patches[:, :FIELDS].contiguous(memory_format=torch.channels_last)
         loss = task.loss(training.forward(seen), patches)
         fall = 0.5 * (1.0 + math.cos(math.pi * min(iteration / iterations, 1.0)))
         rise = min(1.0, (iteration + 1) / task.warm_up)
-        training.step(loss, task.learning_rate * rise * (fall * (1.0 - LAST_RATE) + LAST_RATE))
+        training.step(loss, peak * rise * (fall * (1.0 - LAST_RATE) + LAST_RATE))
         losses.append(float(loss.detach()))
         if (iteration + 1) % 200 == 0 or iteration + 1 == iterations:
-            figures = [task.judge(training.run, sample, stride) for sample in held_out]
             means = {
-                name: float(np.nanmean([judged[name] for judged in figures])) for name in figures[0]
+                f"{kind}_{name}": value
+                for kind, samples in held_out.items()
+                for name, value in _mean_figures(
+                    [task.judge(training.run, sample, stride) for sample in samples]
+                ).items()
             }
             report(out, rows, {"iteration": iteration + 1, "loss": float(np.mean(losses)), **means})
             losses = []
     widths = ", ".join(map(str, task.widths))
+    judged_on = ", ".join(f"{len(samples)} samples of {kind}" for kind, samples in held_out.items())
     facts = {
         "command": command,
         "training": {
@@ -348,9 +373,9 @@ def train_fields(
             "patch_px": task.patch_px,
             "threads": threads,
         },
-        "data": {"samples": len(samples), "whole_fingers": len(whole)},
+        "data": [{"samples": len(samples), "share": share} for share, samples in pools],
         "metrics": {
-            "held_out": f"{len(held_out)} simulated fingers not trained on{task.held_out}",
+            "held_out": f"{judged_on} not trained on{task.held_out}",
             "mean": {name: round(value, 4) for name, value in means.items()},
         },
         "architecture": f"U-Net of {len(task.widths)} levels, widths {widths}",
@@ -358,6 +383,16 @@ def train_fields(
     write_network(
         out, task.name, training, task.what, (FIELDS, task.outputs), len(task.widths) - 1, facts
     )
+
+
+def _mean_figures(figures):
+    """Means of each finger's figures, of those that are known of it."""
+    known = {name: [each[name] for each in figures] for name in figures[0]}
+    return {
+        name: float(np.nanmean(values))
+        for name, values in known.items()
+        if np.isfinite(values).any()
+    }
 
 
 # --- the file

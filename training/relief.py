@@ -1,12 +1,16 @@
 """Train `relief`, which separates relief from specular reflection for the `metric` method.
 
     python training/relief.py --out DIR [--prints FOLDER]       # an hour or two on two cores, 13 GB
+    python training/relief.py --out DIR --walked FOLDER --start relief.onnx --iterations 3000
 
 What photometric stereo leaves of the light of skin is split by how it turns with the light's
 azimuth (`splitknit.skin.learned`); the network learns on simulated fingers what of it is relief and
 what is specular reflection (glare). A whole finger is found and cut out as in any reconstruction,
 its smooth shape mixed from the true one and the first round's. A piece of a finger takes a tenth of
 the time; its smooth shape is the true one, in error.
+
+A second medium are path-traced fingers (``validation/path_traced/make.py --drawn``), whose light
+walks through a volume: so the network does not learn what one simulator gets wrong.
 
 The shipped weights are a mean over several runs on older simulators too (see the card): the command
 repeats the recipe, not the bytes.
@@ -16,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import zlib
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -39,6 +44,8 @@ from scenes import (
 from splitknit.errors import require
 from splitknit.finger.locate import find_finger
 from splitknit.imaging.pixels import bin_mean
+from splitknit.io.capture import read_capture
+from splitknit.io.npz import read_npz
 from splitknit.nominal import default_rig
 from splitknit.observation.observe import observe
 from splitknit.presets import preset_settings
@@ -76,6 +83,9 @@ MAX_RELIEF = np.float32(10.0)  # relief beyond this many units (0.2 mm) is none
 MAX_GLARE = np.float32(3.0)  # times the green level: more hides the skin, whatever it is
 # rim of a piece that is rendered but not kept: light from beyond the piece is missing there
 TRIM_PX = 60
+# patches from each kind of sample, relative
+SHARES = {"pieces": 0.8, "finger": 0.2, "walked": 0.8}
+WALKED_ASIDE = 10  # one of as many path-traced fingers is not trained on
 MIN_SKIN = 0.35  # pieces with a smaller fraction of skin are not rendered
 MIN_WEIGHT = 0.2  # pieces with a smaller mean weight are not kept
 BRIGHTEST_LEVEL = 0.72  # brightest diffuse light of a piece over full scale
@@ -96,6 +106,19 @@ def training_sample(number, prints=None):
     scale = float(rng.uniform(*OTHER_SCALE)) if rng.random() < 0.25 else SCALE
     finger, rig, twin = draw_scene(number, rng, scale, prints)
     capture, truth = photograph_scene(number, finger, rig, replace(twin, sensor=draw_sensor(rng)))
+    return _whole_sample(capture, truth, np.random.default_rng(number).random())
+
+
+def walked_sample(truth_file):
+    """The same of a finger of ``validation/path_traced/make.py --drawn``, whose glare is not known:
+    NaN."""
+    capture = read_capture(truth_file.with_name(truth_file.name.removesuffix("_truth.npz")))
+    seed = zlib.crc32(truth_file.name.encode())
+    return _whole_sample(capture, read_npz(truth_file), np.random.default_rng(seed).random())
+
+
+def _whole_sample(capture, truth, mix):
+    """The sample of a whole capture; `mix`: of the measured shape in the smooth one."""
     settings = preset_settings("metric")
     observation = observe(capture)
     located = find_finger(observation, settings)
@@ -110,7 +133,7 @@ def training_sample(number, prints=None):
     true = on_grid.shape_mm()
     level = true[grid.mask].mean(dtype=np.float64)
     true = true - np.float32(level) + np.float32(settings.metric.plane_mm)
-    mix = np.float32(np.random.default_rng(number).random())
+    mix = np.float32(mix)
     return _assembled(
         bands[0], grid, ((1 - mix) * true + mix * measured).astype(np.float32), on_grid
     )
@@ -124,9 +147,11 @@ def _assembled(white, grid, surface_mm, truth):
     relief = np.where(known, truth.relief_mm(), np.float32(0.0))
     relief = (relief - grid.smooth(relief, known, RIDGE_BAND_MM)) * known
     size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
-    glare = truth.glare() / (seen.level[1] * size + np.float32(1e-9))
-    to_waves = np.linalg.pinv(azimuth_waves(white.rig, 3), rcond=1e-3).astype(np.float32)
-    waves = np.tensordot(to_waves, glare, 1) * known
+    waves = np.full((7, *grid.shape), np.nan, dtype=np.float32)
+    if (glare := truth.glare()) is not None:
+        glare = glare / (seen.level[1] * size + np.float32(1e-9))
+        to_waves = np.linalg.pinv(azimuth_waves(white.rig, 3), rcond=1e-3).astype(np.float32)
+        waves = np.tensordot(to_waves, glare, 1) * known
     weight = trust_of(slant_of(surface_mm, grid.pitch_mm), grid) * known
     parts = (
         seen.fields,
@@ -247,7 +272,7 @@ def relief_loss(output, batch):
     """Loss of `output` (B, 9, h, w), means over the pixels that count: squared error of heights; of
     their differences, where ridges outweigh what is wide; negative log-likelihood of the error
     (fixed, so that no height gets worse) under the estimated variance; squared error of the glare's
-    waves.
+    waves, where they are known.
     """
     weight = batch[:, WEIGHT_CHANNEL]
     count = weight.sum() + 1.0
@@ -255,7 +280,7 @@ def relief_loss(output, batch):
     along = (error[:, :, 1:] - error[:, :, :-1]) * weight[:, :, 1:]
     down = (error[:, 1:] - error[:, :-1]) * weight[:, 1:]
     logarithm = output[:, 8].clamp(*VARIANCE_LIMITS)
-    waves = output[:, 1:8] - batch[:, GLARE_CHANNELS]
+    waves = (output[:, 1:8] - batch[:, GLARE_CHANNELS]).nan_to_num(0.0)
     relief = (error**2 * weight).sum() / count
     slope = ((along**2).sum() + (down**2).sum()) / count
     likelihood = ((error.detach() ** 2 * (-logarithm).exp() + logarithm) * weight).sum() / count
@@ -319,8 +344,6 @@ TASK = SimpleNamespace(
     batch=6,
     patch_px=192,
     beyond_px=0,
-    # fraction of the patches that are cut from whole fingers; the others are from pieces
-    whole_share=0.2,
     min_weight=0.2,
     min_deviation=0.02,
     scale_patches=12,
@@ -332,7 +355,9 @@ TASK = SimpleNamespace(
 )
 
 
-def shoot(prints, kind, number):
+def shoot(prints, walked, kind, number):
+    if kind == "walked":
+        return [walked_sample(walked[number])]
     return (
         [training_sample(number, prints)]
         if kind == "finger"
@@ -358,30 +383,39 @@ def main():
         "--threads", type=int, default=1, help="of torch, and processes that photograph"
     )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument(
+        "--walked",
+        type=Path,
+        help="path-traced fingers, of validation/path_traced/make.py --drawn: a second medium",
+    )
+    parser.add_argument("--start", type=Path, help="network (ONNX) that is trained further")
+    parser.add_argument("--iterations", type=int, default=ITERATIONS)
     options = parser.parse_args()
     whole = [
         *range(FIRST_WHOLE, FIRST_WHOLE + WHOLE_FINGERS),
         *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT_FINGERS),
     ]
-    subjects = [("pieces", n) for n in range(FIRST_CROPPED, FIRST_CROPPED + CROPPED_FINGERS)] + [
-        ("finger", n) for n in whole
+    truths = sorted(options.walked.glob("*_truth.npz")) if options.walked else []
+    walked = {n + HELD_OUT_FROM * (n % WALKED_ASIDE == 0): truth for n, truth in enumerate(truths)}
+    subjects = [
+        *(("pieces", n) for n in range(FIRST_CROPPED, FIRST_CROPPED + CROPPED_FINGERS)),
+        *(("finger", n) for n in whole),
+        *(("walked", n) for n in walked),
     ]
-    data = make_data(options.out, subjects, partial(shoot, options.prints), options.threads)
-    pieces = [array for (kind, _), arrays in data.items() if kind == "pieces" for array in arrays]
-    fingers = {number: arrays[0] for (kind, number), arrays in data.items() if kind == "finger"}
-    whole, held_out = (
-        [a for n, a in fingers.items() if (n < HELD_OUT_FROM) == training]
-        for training in (True, False)
-    )
-    command = "python training/relief.py --out DIR"
+    shot = partial(shoot, options.prints, walked)
+    data = make_data(options.out, subjects, shot, options.threads)
+    pools, held_out = {}, {}
+    for (kind, number), arrays in data.items():
+        kinds = pools if number < HELD_OUT_FROM else held_out
+        kinds.setdefault(kind, []).extend(arrays)
     train_fields(
         TASK,
         options.out,
-        command,
-        pieces,
+        "python training/relief.py --out DIR" + " --walked DIR" * bool(walked),
+        [(SHARES[kind], of_kind) for kind, of_kind in pools.items()],
         held_out,
-        whole=whole,
-        iterations=ITERATIONS,
+        iterations=options.iterations,
+        start=options.start,
         threads=options.threads,
         device=options.device,
     )

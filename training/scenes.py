@@ -217,8 +217,8 @@ class TruthOnGrid:
         return np.asarray(self._mean("shape_mm")[tuple(nearest)], dtype=np.float32)
 
     def glare(self):
-        """(L, h, w) in the white images' units."""
-        return self._mean("glare_white")
+        """(L, h, w) in the white images' units; None where the truth does not know it."""
+        return self._mean("glare_white") if "glare_white" in self._truth else None
 
     def _mean(self, name):
         rows, columns = (math.ceil(length * self._binning) for length in self._shape)

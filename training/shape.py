@@ -203,7 +203,6 @@ TASK = SimpleNamespace(
     batch=8,
     patch_px=160,
     beyond_px=20,  # how far a patch may reach over a finger's edge, where the shape errs most
-    whole_share=0.0,
     min_weight=0.15,
     min_deviation=0.05,
     scale_patches=24,
@@ -257,8 +256,8 @@ def main():
         TASK,
         options.out,
         command,
-        seen,
-        held_out,
+        [(1.0, seen)],
+        {"finger": held_out},
         iterations=ITERATIONS,
         threads=options.threads,
         device=options.device,

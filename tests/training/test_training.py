@@ -85,9 +85,10 @@ def test_networks_of_fields_learn_and_ship(script, loop, tmp_path, name, channel
     rng = np.random.default_rng(0)
     sample = rng.standard_normal((channels, 64, 80)).astype(np.float16)
     sample[32:-1], sample[-1] = sample[: channels - 33], 1.0
-    loop.train_fields(task, tmp_path, "command", [sample], [sample], iterations=3)
+    pools, aside = [(1.0, [sample])], {"finger": [sample]}
+    loop.train_fields(task, tmp_path, "command", pools, aside, iterations=3)
     weights = (tmp_path / f"{name}.onnx").read_bytes()
-    loop.train_fields(task, tmp_path, "command", [sample], [sample], iterations=3)
+    loop.train_fields(task, tmp_path, "command", pools, aside, iterations=3)
     assert (tmp_path / f"{name}.onnx").read_bytes() == weights
     network = load_network(tmp_path / f"{name}.onnx")
     shipped = load_network(name)
@@ -96,6 +97,25 @@ def test_networks_of_fields_learn_and_ship(script, loop, tmp_path, name, channel
         shipped.card.stride,
     )
     assert len(weights) == pytest.approx((SHIPPED / f"{name}.onnx").stat().st_size, rel=0.02)
+    begun = loop.weights_of(tmp_path / f"{name}.onnx")
+    start = tmp_path / f"{name}.onnx"
+    loop.train_fields(task, tmp_path, "command", pools, aside, iterations=1, start=start)
+    further = loop.weights_of(start)
+    assert further.keys() == begun.keys()
+    for key, weight in further.items():  # the first step of a warm-up is small
+        np.testing.assert_allclose(weight, begun[key], atol=1e-3)
+
+
+def test_glare_that_is_not_known_does_not_count(script):
+    torch = pytest.importorskip("torch")
+    relief = script("relief")
+    rng = np.random.default_rng(0)
+    batch = torch.from_numpy(rng.standard_normal((1, 41, 8, 8)).astype(np.float32))
+    batch[:, 40] = 1.0
+    output = batch[:, 32:41].clone()
+    known = relief.relief_loss(output, batch)
+    batch[:, relief.GLARE_CHANNELS] = torch.nan
+    assert relief.relief_loss(output, batch) == known
 
 
 def test_what_is_refused_is_left_out_and_what_is_there_is_kept(loop, tmp_path):
