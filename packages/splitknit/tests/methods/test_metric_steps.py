@@ -327,7 +327,7 @@ class TestOnPixels:
         assert still.facts["optics"]["gain_uncertainty"] == GAIN_UNCERTAINTY
         monkeypatch.setattr(metric, "GAIN_UNCERTAINTY", 0.5)
         surface = metric._on_pixels(images, METRIC, 0.3, wet_sd=1.2)
-        fields = first.relief_mm, first.deviation_mm, first.shape_mm
+        fields = first.relief_mm, first.deviation_mm
         stated = metric.stated_deviation(*fields, images.grid, 1.3)
         assert surface.facts["optics"]["gain_uncertainty"] == pytest.approx(1.3)
         expected = 1000 * np.hypot(stated, 0.3 * first.relief_mm)

@@ -518,9 +518,7 @@ def _on_pixels(
     if relief_by == "network":
         gain = math.hypot(GAIN_UNCERTAINTY, wet_sd)
         surface = replace(surface, facts={**surface.facts, "gain_uncertainty": gain})
-        deviation_mm = stated_deviation(
-            surface.relief_mm, deviation_mm, surface.shape_mm, images.grid, gain
-        )
+        deviation_mm = stated_deviation(surface.relief_mm, deviation_mm, images.grid, gain)
     deviation_mm = np.hypot(images.on_pixels(deviation_mm), jpeg_loss * ridge_mm)
     return FingerSurface(
         shape_mm + ridge_mm,
