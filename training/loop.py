@@ -26,7 +26,7 @@ from splitknit.workers import run_jobs
 
 FIELDS = 32  # fields that `relief` and `shape` see, the first of a sample
 LAST_RATE = 0.02  # learning rate at the end of a training, relative to its maximum
-FURTHER_RATE = 0.4  # that of a network that is trained further, likewise
+FURTHER_RATE = 0.4  # maximal rate of a network that begins with stored weights, likewise
 # of the exported network, over the output's range: its weights are stored in half precision
 MAX_DIFFERENCE = 0.02
 
@@ -246,14 +246,15 @@ def report(out, rows, row):
 # -------------------------
 
 
-def draw_patch(task, pools, rng):
+def draw_patch(task, samples, rng):
     """(channels, side, side) anywhere in any sample that holds enough skin; zero where it reaches
-    over the sample. `pools`: samples, and the share of the patches cut from them, of each kind."""
+    over the sample. `samples`: arrays of each kind, drawn by ``task.shares``."""
     side, beyond = task.patch_px, task.beyond_px
-    shares = np.array([share for share, _ in pools])
+    kinds = list(samples)
+    shares = np.array([task.shares[kind] for kind in kinds])
     while True:
-        samples = pools[int(rng.choice(len(pools), p=shares / shares.sum()))][1]
-        sample = samples[int(rng.integers(len(samples)))]
+        of_kind = samples[kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]]
+        sample = of_kind[int(rng.integers(len(of_kind)))]
         corner = [
             int(rng.integers(-beyond, max(1 - beyond, length - side + beyond)))
             for length in sample.shape[1:]
@@ -283,12 +284,12 @@ def mirrored(symmetry, fields):
     return swapped
 
 
-def draw_batch(task, pools, iteration):
+def draw_batch(task, samples, iteration):
     """(batch, channels, side, side) of an iteration, in one of eight orientations each."""
     rng = np.random.default_rng(np.random.SeedSequence([0, 0xBE, iteration]))
     patches = []
     for _ in range(task.batch):
-        patch = draw_patch(task, pools, rng)
+        patch = draw_patch(task, samples, rng)
         swapped, quarters = _ORIENTATIONS[rng.integers(8)]
         patch = mirrored(task.symmetry, patch) if swapped else patch
         patch = task.symmetry.turned(patch, quarters)
@@ -299,11 +300,11 @@ def draw_batch(task, pools, iteration):
     return np.stack(patches)
 
 
-def field_scale(task, pools):
+def field_scale(task, samples):
     """(32,) factors that bring the fields to about one scale: one over their standard deviation in
     a few patches."""
     rng = np.random.default_rng(np.random.SeedSequence([0, 0x5C]))
-    drawn = [draw_patch(task, pools, rng)[:FIELDS] for _ in range(task.scale_patches)]
+    drawn = [draw_patch(task, samples, rng)[:FIELDS] for _ in range(task.scale_patches)]
     return np.asarray(
         1.0 / np.maximum(np.stack(drawn).std(axis=(0, 2, 3)), task.min_deviation), dtype=np.float32
     )
@@ -313,23 +314,22 @@ def weights_of(file):
     """Weights and field scale of a network that :func:`train_fields` wrote, by their names."""
     import onnx
 
-    stored = onnx.load(file).graph.initializer
     return {
-        each.name: torch.from_numpy(onnx.numpy_helper.to_array(each).astype(np.float32))
-        for each in stored
+        tensor.name: torch.from_numpy(onnx.numpy_helper.to_array(tensor).astype(np.float32))
+        for tensor in onnx.load(file).graph.initializer
     }
 
 
 def train_fields(
-    task, out, command, pools, held_out, *, iterations, start=None, threads=1, device="cpu"
+    task, out, command, samples, held_out, *, iterations, start=None, threads=1, device="cpu"
 ):
     """Train `relief` or `shape` (a `Task` of their scripts), and write it into `out`.
 
-    `pools`: see :func:`draw_patch`; `held_out`: samples of each kind that it is judged on; `start`:
+    `samples`, `held_out`: arrays of each kind, to be trained and judged on; `start`: file of the
     network whose weights it begins with.
     """
-    begun = weights_of(start) if start else {}
-    scale = begun["scale"].numpy() if begun else field_scale(task, pools)
+    stored = weights_of(start) if start else {}
+    scale = stored["scale"].numpy() if stored else field_scale(task, samples)
     training = Training(
         lambda: FieldsUNet(task.widths, scale, task.outputs),
         seed=0,
@@ -339,32 +339,29 @@ def train_fields(
         weight_decay=task.weight_decay,
         gradient_limit=5.0,
     )
-    if begun:
-        training.network.load_state_dict({**begun, "scale": torch.from_numpy(scale)})
-    peak = task.learning_rate * (FURTHER_RATE if begun else 1.0)
+    if stored:
+        training.network.load_state_dict(stored)
+    maximal_rate = task.learning_rate * (FURTHER_RATE if stored else 1.0)
     rows, losses = [], []
     stride = 2 ** (len(task.widths) - 1)
     for iteration in range(iterations):
         training.network.train()
-        patches = training.tensor(draw_batch(task, pools, iteration))
+        patches = training.tensor(draw_batch(task, samples, iteration))
         seen = patches[:, :FIELDS].contiguous(memory_format=torch.channels_last)
         loss = task.loss(training.forward(seen), patches)
         fall = 0.5 * (1.0 + math.cos(math.pi * min(iteration / iterations, 1.0)))
         rise = min(1.0, (iteration + 1) / task.warm_up)
-        training.step(loss, peak * rise * (fall * (1.0 - LAST_RATE) + LAST_RATE))
+        training.step(loss, maximal_rate * rise * (fall * (1.0 - LAST_RATE) + LAST_RATE))
         losses.append(float(loss.detach()))
         if (iteration + 1) % 200 == 0 or iteration + 1 == iterations:
-            means = {
-                f"{kind}_{name}": value
-                for kind, samples in held_out.items()
-                for name, value in _mean_figures(
-                    [task.judge(training.run, sample, stride) for sample in samples]
-                ).items()
-            }
+            means = {}
+            for kind, arrays in held_out.items():
+                figures = [task.judge(training.run, sample, stride) for sample in arrays]
+                means |= _mean_figures(kind, figures)
             report(out, rows, {"iteration": iteration + 1, "loss": float(np.mean(losses)), **means})
             losses = []
     widths = ", ".join(map(str, task.widths))
-    judged_on = ", ".join(f"{len(samples)} samples of {kind}" for kind, samples in held_out.items())
+    judged_on = ", ".join(f"{len(arrays)} samples of {kind}" for kind, arrays in held_out.items())
     facts = {
         "command": command,
         "training": {
@@ -373,7 +370,10 @@ def train_fields(
             "patch_px": task.patch_px,
             "threads": threads,
         },
-        "data": [{"samples": len(samples), "share": share} for share, samples in pools],
+        "data": {
+            kind: {"samples": len(arrays), "share": task.shares[kind]}
+            for kind, arrays in samples.items()
+        },
         "metrics": {
             "held_out": f"{judged_on} not trained on{task.held_out}",
             "mean": {name: round(value, 4) for name, value in means.items()},
@@ -385,12 +385,13 @@ def train_fields(
     )
 
 
-def _mean_figures(figures):
-    """Means of each finger's figures, of those that are known of it."""
-    known = {name: [each[name] for each in figures] for name in figures[0]}
+def _mean_figures(kind, figures):
+    """Means over fingers, named ``KIND_FIGURE``; a figure that is NaN for every finger is left
+    out."""
+    columns = {name: [row[name] for row in figures] for name in figures[0]}
     return {
-        name: float(np.nanmean(values))
-        for name, values in known.items()
+        f"{kind}_{name}": float(np.nanmean(values))
+        for name, values in columns.items()
         if np.isfinite(values).any()
     }
 

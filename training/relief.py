@@ -9,8 +9,8 @@ what is specular reflection (glare). A whole finger is found and cut out as in a
 its smooth shape mixed from the true one and the first round's. A piece of a finger takes a tenth of
 the time; its smooth shape is the true one, in error.
 
-A second medium are path-traced fingers (``validation/path_traced/make.py --drawn``), whose light
-walks through a volume: so the network does not learn what one simulator gets wrong.
+Path-traced fingers (``validation/path_traced/make.py --drawn``) are a second medium, whose light
+walks through a volume: the network then learns less of what one simulator gets wrong.
 
 The shipped weights are a mean over several runs on older simulators too (see the card): the command
 repeats the recipe, not the bytes.
@@ -83,9 +83,7 @@ MAX_RELIEF = np.float32(10.0)  # relief beyond this many units (0.2 mm) is none
 MAX_GLARE = np.float32(3.0)  # times the green level: more hides the skin, whatever it is
 # rim of a piece that is rendered but not kept: light from beyond the piece is missing there
 TRIM_PX = 60
-# patches from each kind of sample, relative
-SHARES = {"pieces": 0.8, "finger": 0.2, "walked": 0.8}
-WALKED_ASIDE = 10  # one of as many path-traced fingers is not trained on
+HELD_OUT_EVERY = 10  # one of as many path-traced fingers is not trained on
 MIN_SKIN = 0.35  # pieces with a smaller fraction of skin are not rendered
 MIN_WEIGHT = 0.2  # pieces with a smaller mean weight are not kept
 BRIGHTEST_LEVEL = 0.72  # brightest diffuse light of a piece over full scale
@@ -106,19 +104,19 @@ def training_sample(number, prints=None):
     scale = float(rng.uniform(*OTHER_SCALE)) if rng.random() < 0.25 else SCALE
     finger, rig, twin = draw_scene(number, rng, scale, prints)
     capture, truth = photograph_scene(number, finger, rig, replace(twin, sensor=draw_sensor(rng)))
-    return _whole_sample(capture, truth, np.random.default_rng(number).random())
+    return _whole_sample(capture, truth, number)
 
 
 def walked_sample(truth_file):
-    """The same of a finger of ``validation/path_traced/make.py --drawn``, whose glare is not known:
-    NaN."""
+    """The same of a finger of ``validation/path_traced/make.py --drawn``; its glare is not known
+    (NaN)."""
     capture = read_capture(truth_file.with_name(truth_file.name.removesuffix("_truth.npz")))
-    seed = zlib.crc32(truth_file.name.encode())
-    return _whole_sample(capture, read_npz(truth_file), np.random.default_rng(seed).random())
+    return _whole_sample(capture, read_npz(truth_file), zlib.crc32(truth_file.name.encode()))
 
 
-def _whole_sample(capture, truth, mix):
-    """The sample of a whole capture; `mix`: of the measured shape in the smooth one."""
+def _whole_sample(capture, truth, seed):
+    """The sample of a whole capture; `seed`: of how much of the measured shape is mixed into the
+    true one."""
     settings = preset_settings("metric")
     observation = observe(capture)
     located = find_finger(observation, settings)
@@ -133,7 +131,7 @@ def _whole_sample(capture, truth, mix):
     true = on_grid.shape_mm()
     level = true[grid.mask].mean(dtype=np.float64)
     true = true - np.float32(level) + np.float32(settings.metric.plane_mm)
-    mix = np.float32(mix)
+    mix = np.float32(np.random.default_rng(seed).random())
     return _assembled(
         bands[0], grid, ((1 - mix) * true + mix * measured).astype(np.float32), on_grid
     )
@@ -344,6 +342,8 @@ TASK = SimpleNamespace(
     batch=6,
     patch_px=192,
     beyond_px=0,
+    # of the patches, relative: from pieces of fingers, whole fingers, path-traced fingers
+    shares={"pieces": 0.8, "finger": 0.2, "walked": 0.8},
     min_weight=0.2,
     min_deviation=0.02,
     scale_patches=12,
@@ -396,23 +396,31 @@ def main():
         *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT_FINGERS),
     ]
     truths = sorted(options.walked.glob("*_truth.npz")) if options.walked else []
-    walked = {n + HELD_OUT_FROM * (n % WALKED_ASIDE == 0): truth for n, truth in enumerate(truths)}
+    if options.walked and not truths:
+        parser.error(f"{options.walked} holds no captures of make.py --drawn.")
+    walked = {
+        HELD_OUT_FROM + n if n % HELD_OUT_EVERY == 0 else n: truth for n, truth in enumerate(truths)
+    }
     subjects = [
         *(("pieces", n) for n in range(FIRST_CROPPED, FIRST_CROPPED + CROPPED_FINGERS)),
         *(("finger", n) for n in whole),
         *(("walked", n) for n in walked),
     ]
-    shot = partial(shoot, options.prints, walked)
-    data = make_data(options.out, subjects, shot, options.threads)
-    pools, held_out = {}, {}
+    data = make_data(options.out, subjects, partial(shoot, options.prints, walked), options.threads)
+    samples, held_out = {}, {}
     for (kind, number), arrays in data.items():
-        kinds = pools if number < HELD_OUT_FROM else held_out
-        kinds.setdefault(kind, []).extend(arrays)
+        group = samples if number < HELD_OUT_FROM else held_out
+        group.setdefault(kind, []).extend(arrays)
+    command = "python training/relief.py --out DIR"
+    if walked:
+        command += " --walked FOLDER"
+    if options.start:
+        command += f" --start {options.start.name} --iterations {options.iterations}"
     train_fields(
         TASK,
         options.out,
-        "python training/relief.py --out DIR" + " --walked DIR" * bool(walked),
-        [(SHARES[kind], of_kind) for kind, of_kind in pools.items()],
+        command,
+        samples,
         held_out,
         iterations=options.iterations,
         start=options.start,

@@ -203,6 +203,7 @@ TASK = SimpleNamespace(
     batch=8,
     patch_px=160,
     beyond_px=20,  # how far a patch may reach over a finger's edge, where the shape errs most
+    shares={"finger": 1.0},
     min_weight=0.15,
     min_deviation=0.05,
     scale_patches=24,
@@ -256,7 +257,7 @@ def main():
         TASK,
         options.out,
         command,
-        [(1.0, seen)],
+        {"finger": seen},
         {"finger": held_out},
         iterations=ITERATIONS,
         threads=options.threads,

@@ -85,10 +85,10 @@ def test_networks_of_fields_learn_and_ship(script, loop, tmp_path, name, channel
     rng = np.random.default_rng(0)
     sample = rng.standard_normal((channels, 64, 80)).astype(np.float16)
     sample[32:-1], sample[-1] = sample[: channels - 33], 1.0
-    pools, aside = [(1.0, [sample])], {"finger": [sample]}
-    loop.train_fields(task, tmp_path, "command", pools, aside, iterations=3)
+    samples = {"finger": [sample]}
+    loop.train_fields(task, tmp_path, "command", samples, samples, iterations=3)
     weights = (tmp_path / f"{name}.onnx").read_bytes()
-    loop.train_fields(task, tmp_path, "command", pools, aside, iterations=3)
+    loop.train_fields(task, tmp_path, "command", samples, samples, iterations=3)
     assert (tmp_path / f"{name}.onnx").read_bytes() == weights
     network = load_network(tmp_path / f"{name}.onnx")
     shipped = load_network(name)
@@ -97,13 +97,13 @@ def test_networks_of_fields_learn_and_ship(script, loop, tmp_path, name, channel
         shipped.card.stride,
     )
     assert len(weights) == pytest.approx((SHIPPED / f"{name}.onnx").stat().st_size, rel=0.02)
-    begun = loop.weights_of(tmp_path / f"{name}.onnx")
     start = tmp_path / f"{name}.onnx"
-    loop.train_fields(task, tmp_path, "command", pools, aside, iterations=1, start=start)
-    further = loop.weights_of(start)
-    assert further.keys() == begun.keys()
-    for key, weight in further.items():  # the first step of a warm-up is small
-        np.testing.assert_allclose(weight, begun[key], atol=1e-3)
+    before = loop.weights_of(start)
+    loop.train_fields(task, tmp_path, "command", samples, samples, iterations=1, start=start)
+    after = loop.weights_of(start)
+    assert after.keys() == before.keys()
+    for key, weight in after.items():  # the first step of a warm-up is small
+        np.testing.assert_allclose(weight, before[key], atol=1e-3)
 
 
 def test_glare_that_is_not_known_does_not_count(script):
