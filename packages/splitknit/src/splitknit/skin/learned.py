@@ -293,9 +293,9 @@ def variance_restored(estimate: ReliefEstimate) -> ReliefEstimate:
 
 
 GAIN_UNCERTAINTY = 0.13
-"""Standard deviation of the common factor of all heights, which shading does not show. Chosen on:
-fingers not trained on (ten path-traced, validation/path_traced/make.py ``--drawn 10 --seed 2``, and
-twelve simulated). Range: 0.1 to 0.13."""
+"""Standard deviation of the common factor of all heights, which shading does not show: the factor's
+rms deviation from one. Chosen on: fingers not trained on (ten path-traced ones of
+validation/path_traced/make.py ``--drawn 10 --seed 2``, twelve simulated ones)."""
 
 
 def stated_deviation(
