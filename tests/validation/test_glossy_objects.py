@@ -136,6 +136,19 @@ def test_a_wrong_encoding_spoils_a_matt_thing(shape: str, stored: str, stated: s
         measured(target, encoding=stated)
 
 
+@pytest.mark.parametrize("shape", ["egg", "key"])
+@pytest.mark.parametrize(
+    ("code", "answer"),
+    [("tone-curve", lambda light: light**0.7), ("ambient-light", lambda light: light + 0.08)],
+)
+def test_a_response_that_alone_makes_a_thing_matt_is_named(shape: str, code: str, answer) -> None:
+    """Under a dome; both were silent, and turned the surface by some degrees."""
+    target = GLOSSY.photographed(shape, GLOSSY.MATT, 32)
+    light = 0.8 * target.images / 65535.0
+    assert MISTAKES.said(light, target.lights, target.mask) == ""
+    assert MISTAKES.said(answer(light), target.lights, target.mask) == code
+
+
 @pytest.mark.parametrize(("shape", "part"), [("key", 0.31), ("coin", 0.0), ("ring", 0.0)])
 @pytest.mark.parametrize("finish", [GLOSSY.STEEL, GLOSSY.MATT], ids=["steel", "matt"])
 def test_what_the_outline_leaves_out_is_said(shape: str, part: float, finish) -> None:

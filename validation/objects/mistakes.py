@@ -17,7 +17,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from dome import DATA, calibrated
+from dome import BALLS, DATA, calibrated
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
@@ -49,10 +49,10 @@ def thing(name: str) -> Photographed:
         mask = cv2.imread(str(gray / "gray.mask.png"), cv2.IMREAD_GRAYSCALE) > 127
         return np.stack([cv2.imread(str(each), 0) / 255.0 for each in files]), lights, mask
     if name == "coin":
-        images, lights = of_dome("birr", "162.6,740.6,37.5", np.s_[495:995, 898:1398], 2)
+        images, lights = of_dome("birr", BALLS["birr"][0], np.s_[495:995, 898:1398], 2)
         y, x = 2 * np.mgrid[: images.shape[1], : images.shape[2]]
         return images, lights, np.hypot(x - 250, y - 250) < 238
-    return *of_dome("ammonite", "125,771,37.5", np.s_[:, 300:2000], 3), None
+    return *of_dome("ammonite", BALLS["ammonite"][0], np.s_[:, 300:2000], 3), None
 
 
 def of_dome(name: str, ball: str, box: tuple[slice, slice], every: int) -> tuple[Array, Array]:

@@ -42,6 +42,30 @@ def test_a_small_shift_is_no_double_image(k):
     assert [(fault.photograph, fault.kind) for fault in faults] == [(k, "moved")]
 
 
+@pytest.mark.parametrize("kind", ["moved", "blurred"])
+def test_a_fault_has_its_name_where_a_light_ends_beside_every_pixel(kind: str) -> None:
+    """Under many raking lights a rough thing has no place that all of them reach."""
+    random = np.random.default_rng(0)
+    height = cv2.GaussianBlur(random.standard_normal((160, 160)), (0, 0), 3)
+    down, right = np.gradient(2 * height / height.std())
+    normals = np.dstack([-right, down, np.ones_like(height)])
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    azimuth = 2 * np.pi * np.arange(24) / 24
+    elevation = np.deg2rad(np.where(np.arange(24) % 2, 20, 45))
+    across = np.cos(elevation)
+    lights = np.column_stack(
+        [across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)]
+    )
+    stack = np.clip(np.moveaxis(normals @ lights.T, -1, 0), 0, None).astype(np.float32)
+    stack += 0.002 * random.random(stack.shape, dtype=np.float32)
+    inside = np.zeros(height.shape, dtype=bool)
+    inside[5:-5, 5:-5] = True
+    assert faulty_photographs(stack, lights, inside) == ()
+    stack[7] = spoilt(stack[7], kind)
+    faults = faulty_photographs(stack, lights, inside)
+    assert [(fault.photograph, fault.kind) for fault in faults] == [(7, kind)]
+
+
 def test_what_was_left_out_is_accused_once_and_no_other():
     stack, lights, mask = scene(1)
     stack[2] = np.roll(stack[2], (6, 9), (0, 1))

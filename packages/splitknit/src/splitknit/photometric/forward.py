@@ -37,6 +37,7 @@ _FEWEST_LIGHTS = 8  # fewer leave little beside normal and lobe
 _DARK = 0.01  # a light is in shadow below this part of the brightest one's
 _STILL_RAD = 1e-4  # mean step of the normals from which a fit has converged
 _GRAZING = 0.05  # cosine below which a light may be in attached shadow, or a surface is unseen
+LEAST_MISFIT = 1e-3  # relative, of any fit
 _MATT_MISFIT = 0.01  # relative deviation up to which a matt model explains the photographs
 GLOSS_LEAVES = 0.7
 """A thing is glossy where a lobe lowers the misfit of the matt model below this fraction of it:
@@ -225,7 +226,7 @@ class _Pixels:
                 table = equal._lobe(normals, table, weight)
             residual, angle, cosine, lit = equal._residual(normals, table)
             residual -= _mean(residual, weight * lit)
-            misfit = max(deviation(residual[lit]), 1e-3) if lit.any() else 1.0
+            misfit = max(deviation(residual[lit]), LEAST_MISFIT) if lit.any() else 1.0
             weight = np.where(lit, cauchy(residual, 2.385 * misfit), 0.0).astype(np.float32)
             across, along = _tangents(normals)
             slope = _at(np.gradient(_tabulated(table), np.pi / 2 / (_TABLE - 1)), angle)
