@@ -195,13 +195,14 @@ def of_scenes(scenes: Sequence[tuple[Array, Array]]) -> dict[str, Any]:
     return row
 
 
-def rendered(seeds: Sequence[int] = range(12), lamps: int = 27) -> dict[str, Any]:
-    """Places of the lights of rendered domes against their truth."""
+def rendered(seeds: Sequence[int] = range(12), *scene_of: Any) -> dict[str, Any]:
+    """Places of the lights of rendered domes against their truth; `scene_of`: number of lamps, and
+    how far beside the middle they are aimed."""
     table: dict[str, Any] = {}
     for beam, exponent in (("bare LEDs", dome_scene.BARE), ("LEDs with a lens", dome_scene.LENS)):
         found: dict[str, list[tuple[Array, Array]]] = {}
         for seed in seeds:
-            scene = dome_scene.dome(seed, lamps)
+            scene = dome_scene.dome(seed, *scene_of)
             with tempfile.TemporaryDirectory() as folder:
                 images = Path(folder) / "photographs"
                 images.mkdir()

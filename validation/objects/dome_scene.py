@@ -72,8 +72,9 @@ class Dome:
         return outlines
 
 
-def dome(seed: int, lamps: int = 27) -> Dome:
-    """One of many: size, lamps off a sphere, camera, balls."""
+def dome(seed: int, lamps: int = 27, aim_mm: float = 5.0) -> Dome:
+    """One of many: size, lamps off a sphere and aimed so far beside the picture's middle (sd),
+    camera, balls."""
     rng = np.random.default_rng(seed)
     ring = np.arange(lamps) % 3
     elevation = np.deg2rad(rng.uniform((8, 32, 58), (20, 46, 72))[ring] + rng.uniform(-3, 3, lamps))
@@ -93,7 +94,7 @@ def dome(seed: int, lamps: int = 27) -> Dome:
     size = rng.uniform(3.7, 4.5)
     balls = [(side * rng.uniform(42, 52), rng.uniform(-15, 15), size, size) for side in (-1.0, 1.0)]
     strengths = np.exp(0.05 * rng.standard_normal(lamps))
-    aims = 5.0 * rng.standard_normal(places.shape) * (1, 1, 0)
+    aims = aim_mm * rng.standard_normal(places.shape) * (1, 1, 0)
     return Dome(places, aims, strengths, eye, np.array(balls), *THINGS[seed % len(THINGS)], seed)
 
 
