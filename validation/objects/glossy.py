@@ -9,6 +9,7 @@ cast shadows of render.py. Lamps are distant or near; the camera has shot and re
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -167,19 +168,21 @@ def photographed(  # noqa: PLR0917
     return Rendered(kept, lights, bright, mask, *of_surface)
 
 
-def reflected(normals: Array, towards: Array, finish: Finish) -> Array:
-    """Light (H, W) to a camera along z, of a lamp in the direction `towards` (H, W, 3)."""
-    middle = towards + np.array([0.0, 0.0, 1.0])
-    middle /= np.linalg.norm(middle, axis=2, keepdims=True)
-    cosine = np.maximum((normals * towards).sum(axis=2), 0.0)
-    view = np.maximum(normals[..., 2], 1e-3)
-    across = np.maximum((normals * middle).sum(axis=2), 0.0)
+def reflected(
+    normals: Array, towards: Array, finish: Finish, to_camera: Any = (0.0, 0.0, 1.0)
+) -> Array:
+    """Light (...) to a camera, of a lamp in the direction `towards` (..., 3)."""
+    middle = towards + to_camera
+    middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
+    cosine = np.maximum((normals * towards).sum(axis=-1), 0.0)
+    view = np.maximum((normals * to_camera).sum(axis=-1), 1e-3)
+    across = np.maximum((normals * middle).sum(axis=-1), 0.0)
     squared = finish.roughness**2
     lobe = squared / (np.pi * (across**2 * (squared - 1) + 1) ** 2)
     masking = 1.0
     for each in (np.maximum(cosine, 1e-3), view):
         masking = masking * 2 * each / (each + np.sqrt(squared + (1 - squared) * each**2))
-    fresnel = finish.specular + (1 - finish.specular) * (1 - middle[..., 2]) ** 5
+    fresnel = finish.specular + (1 - finish.specular) * (1 - (middle * to_camera).sum(axis=-1)) ** 5
     specular = lobe * masking * fresnel / (4 * view) * (cosine > 0)
     if not finish.specular:
         specular = 0.0 * specular

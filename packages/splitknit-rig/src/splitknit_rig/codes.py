@@ -72,7 +72,7 @@ CODES: dict[str, Code] = {
     ),
     "uncertain-distances": Code(
         "The glints do not determine the lights' distances; directions were written.",
-        "Outline a second ball, or use matt ground (`--ground`).",
+        "Use matt ground (`--ground`), or two balls and a rig with the camera (`--rig`).",
     ),
     "glints-disagree": Code(
         "The glints on the balls do not fit one place for each light.",

@@ -11,6 +11,7 @@ from splitknit_rig.calibration.sphere import (
     balls_of_mask,
     chrome_directions,
     find_ball,
+    glints_of,
     grey_directions,
     rim_of,
     smear_px,
@@ -68,6 +69,18 @@ def test_highlights_give_directions():
     stack[2] = 0.02
     without = np.isnan(chrome_directions(stack, BALL)).all(axis=1)
     assert np.flatnonzero(without).tolist() == [2]
+
+
+def test_a_highlight_stands_out_from_pale_ground_that_the_ball_mirrors():
+    """Under a low lamp both are clipped: once apart, once the ground reaches to the highlight."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    out = np.hypot(columns - BALL.column, rows - BALL.row) / BALL.radius_px
+    place = BALL.column + 25.0, BALL.row - 4.0
+    spot = 3.0 * np.exp(-((columns - place[0]) ** 2 + (rows - place[1]) ** 2) / 5)
+    low, high = (np.where(out > 0.72, columns * sign > BALL.column * sign, 0) for sign in (1, -1))
+    stack = np.clip(0.01 + spot + np.array([1.2 * high, 0.45 * low]), 0, 1).astype(np.float32)
+    for found in glints_of(stack, BALL):
+        assert found == pytest.approx(place, abs=0.5)
 
 
 def test_the_outline_is_found_in_a_mask_and_in_an_image():

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from splitknit import Camera, Led, Rig
+from splitknit.diagnosis.lights import CERTAIN
 from splitknit.errors import refusing, require
 from splitknit.findings import Finding, Severity, worst_first
 from splitknit.imaging.pixels import srgb_light
@@ -63,7 +64,8 @@ class LightsOfBall(CalibratedLights):
     left_out: tuple[str, ...] = ()
     """Photographs whose light could not be measured."""
     fit: Mapping[str, Any] | None = None
-    """Of places: ``camera_height_mm``, ``dome_radius_mm``, ``glints_rms_px``, ``ground_misfit``."""
+    """Of places: ``camera_height_mm``, ``dome_radius_mm``, ``glints_rms_px``, ``ground_misfit``,
+    ``lobe_exponent``."""
 
     def lines(self) -> list[str]:
         """See :meth:`CalibratedLights.lines`."""
@@ -110,9 +112,6 @@ class BallPhotographs:
     led_height_cm: float | None = None
 
 
-_UNCERTAIN = 0.25  # 95 % interval of a place over its distance, above which directions are written
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Measured:
     """Lights of photographs; NaN or zero if a photograph shows none."""
@@ -150,11 +149,11 @@ def _by_fit(
         " leave out `ground` where it is not flat and matt.",
     )
     interval, distance = float(np.nanmedian(fit.interval_mm)), float(np.nanmedian(distances))
-    if interval > _UNCERTAIN * distance:
+    if interval > CERTAIN * distance:
         words = (
             f"the glints leave the lights' distances open ({distance:.0f} +- {interval:.0f} mm):"
-            " these are directions; a second ball, or `ground` where the ground beside the ball is"
-            " flat and matt, gives places."
+            " these are directions; places need flat matt ground beside the balls (`ground`), or"
+            " two balls and a camera whose place is known (`rig`)."
         )
         return _Measured(directions), [*findings, Finding("uncertain-distances", words)]
     facts = {
@@ -162,6 +161,7 @@ def _by_fit(
         "dome_radius_mm": float(fit.dome_mm[3]),
         "glints_rms_px": fit.glint_px,
         "ground_misfit": fit.ground_misfit,
+        "lobe_exponent": fit.lobe_exponent,
     }
     return _Measured(directions, None, fit.places_mm, fit.interval_mm, facts), findings
 
@@ -307,7 +307,13 @@ def _led(
         # a near light's strength falls with the square of its distance
         intensity *= (float(np.linalg.norm(position)) / 100.0) ** 2
     direction = point_of(unit)
-    led = Led(band, position, None if position is not None else direction, intensity=intensity)
+    led = Led(
+        band,
+        position,
+        None if position is not None else direction,
+        intensity,
+        (measured.fit or {}).get("lobe_exponent", 0.0),
+    )
     return led, CalibratedLed(
         band,
         number,
@@ -387,7 +393,7 @@ def ground_of(
 
 
 _LARGEST_DOME = 3.0  # radius over the camera's height; 1.0 on a home-made dome
-_FAR_GLINT_PX = 0.5  # rms; 0.08 to 0.11 on photographed balls
+_FAR_GLINT_PX = 0.5  # rms; 0.24 to 0.27 on photographed balls
 _GLOSSY_GROUND = 0.1  # relative; 0.02 on a matt plate of a renderer, 0.3 on felt
 
 

@@ -204,12 +204,12 @@ def glints_of(stack: Any, ball: Ball) -> Array:
     """(L, 2) column and row of the highlight on a chrome ball in linear images (L, H, W); NaN if
     there is none, as with a light behind the ball."""
     images = check_stack(stack, least=1, name="the photographs of the ball")
-    front = np.nan_to_num(ball.normals(images.shape[1:])[..., 2]) > _FRONT
-    rows, columns = np.nonzero(front)
-    require(len(rows), "the ball lies outside the photographs.")
+    facing = np.nan_to_num(ball.normals(images.shape[1:])[..., 2])
+    require(facing.max() > _FRONT, "the ball lies outside the photographs.")
+    rows, columns = np.nonzero(facing)
     top, left = rows.min(), columns.min()
     box = slice(top, rows.max() + 1), slice(left, columns.max() + 1)
-    inside = front[box]
+    inside = facing[box] > _FRONT
     highlights = [_highlight(image[box], inside) for image in images]
     return np.asarray(np.array(highlights) + (left, top))  # noqa: RUF005
 
@@ -309,14 +309,19 @@ _MIN_HIGHLIGHT = 0.03  # of the largest value
 
 
 def _highlight(image: FloatArray, inside: BoolArray) -> tuple[float, float]:
-    """Centroid of the pixels above the mean of a ball's maximal and typical brightness."""
-    values = np.where(inside, cv2.GaussianBlur(image, (0, 0), 1.2), 0.0).astype(np.float64)
-    top, usual = float(values.max()), float(np.median(values[inside]))
+    """Centroid of what stands out most from its surroundings on a ball's front: pale ground that a
+    ball mirrors is as bright under a low lamp, but wider."""
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.2)
+    usual = float(np.median(smooth[inside]))
+    # a sixth of the radius, and 0.7 of the top: mirrored ground often touches the highlight
+    values = np.subtract(smooth, cv2.GaussianBlur(smooth, (0, 0), len(inside) / 12.0))
+    front = np.where(inside, values, 0.0)
+    top = float(front.max())
     if top <= max(4.0 * usual, _MIN_HIGHLIGHT):
         return np.nan, np.nan
-    above = values - 0.5 * (top + usual)
+    above = values - 0.7 * top
     _, labels = cv2.connectedComponents((above >= 0).astype(np.uint8), connectivity=8)
-    highlight = labels == labels[np.unravel_index(np.argmax(values), values.shape)]
+    highlight = labels == labels[np.unravel_index(np.argmax(front), front.shape)]
     rows, columns = np.nonzero(highlight)
     weights = above[highlight] + 1e-9
     return float(np.average(columns, weights=weights)), float(np.average(rows, weights=weights))

@@ -75,7 +75,7 @@ def with_places_by_ground(
     if explained < EXPLAINED or interval_mm > CERTAIN * distance_mm:
         return observation, {}, []
     moved = {
-        led: replace(led, direction=None, position_mm=(x, y, z))
+        led: replace(led, direction=None, position_mm=(x, y, z), lobe_exponent=fit.lobe_exponent)
         for led, (x, y, z) in zip(leds, places.tolist(), strict=True)
     }
     rig = replace(observation.rig, leds=tuple(moved.get(led, led) for led in observation.rig.leds))

@@ -20,7 +20,10 @@ from splitknit.imaging.robust import cauchy, deviation
 from splitknit.imaging.view import plane_points
 from splitknit.model import Array, BoolArray, Camera, FloatArray
 
-_GLINT_SD_PX = 0.15  # of a glint's place: 0.08 to 0.11 px are left on photographed balls
+_GLINT_SD_PX = 0.8
+"""Of a glint's place: low ones touch mirrored ground and err together; with 0.15 px the intervals
+of two balls alone held 4 of 10 lights. Chosen on: rendered domes, and two sets of photographs of
+one dome (validation/objects/dome.py)."""
 _DIRECTION_SD = 0.2
 """Of the normal that gives a glint, of a stated direction: 24 deg of it. Chosen on: how well two
 sets of photographs agree on the lights of one dome (validation/objects/dome.py)."""
@@ -35,6 +38,9 @@ CAMERA_HEIGHT = 0.77
 of 66 deg across."""
 _GROUND_SD = 0.03  # of a matt ground's light, relative, before the scale is estimated
 _LAMP_SD = 0.05  # of the logarithm of a lamp's brightness: lamps of one kind differ so
+_BEAM_SD = 0.5
+"""Of the logarithm of the exponent of the lamps' beam: a bare LED has 1, one with a lens 5. Chosen
+on: two sets of photographs of one dome (validation/objects/dome.py), 1.3 mm apart; with 1.0 2.0."""
 GROUND_POINTS = 4000  # over the whole picture
 _OF_BLOCKS = 8.0
 """Observations of means of blocks, which are less noisy. Chosen on: a photographed coin, tilt 1.1
@@ -108,6 +114,8 @@ class LightPlaces:
     """rms distance of the glints from where the fit expects them."""
     ground_misfit: float | None
     """Relative (robust) deviation of the ground from a matt plane under these lights."""
+    lobe_exponent: float
+    """Of the lamps' beam, aimed at the picture's middle; zero without a ground."""
     off_stated: Array
     """(L,) distance of each light's glints, or stated direction, from where the fit expects them,
     in standard deviations."""
@@ -148,9 +156,10 @@ def fit_places(
     require(not len(missing), f"light {missing[0] if len(missing) else 0} has no glint on a ball.")
     problem = _Problem(balls, seen, px_per_mm, np.array(eye_mm), np.array(eye_sd_mm))
     places, shared = problem.start()
-    gains = np.zeros(len(places))  # logarithms
-    size = 4 * len(places)
-    lamps = np.arange(3, size, 4)
+    size = 4 * len(places) + 1
+    lamps = np.append(np.arange(3, size, 4), size - 1)
+    gains = np.zeros(len(lamps))  # logarithms of each lamp's brightness, and of the beam's exponent
+    sd = np.append(np.full(len(places), _LAMP_SD), _BEAM_SD)
     ground_misfit = None
     for _ in range(60):
         normal, right = problem.linearised(places, shared)
@@ -158,13 +167,13 @@ def fit_places(
             of_ground, of_right, ground_misfit = _of_ground(places, gains, ground)
             normal[:size, :size] += of_ground
             right[:size] += of_right
-        normal[lamps, lamps] += 1.0 / _LAMP_SD**2
-        right[lamps] -= gains / _LAMP_SD**2
+        normal[lamps, lamps] += 1.0 / sd**2
+        right[lamps] -= gains / sd**2
         diagonal = np.einsum("ii->i", normal)
         diagonal *= 1.0001
         step = np.linalg.solve(normal, right)
         gains = gains + np.clip(step[lamps], -0.2, 0.2)
-        moved = step[:size].reshape(-1, 4)[:, :3]
+        moved = step[: size - 1].reshape(-1, 4)[:, :3]
         reach = 0.15 * shared[-1]
         length = np.linalg.norm(moved, axis=1, keepdims=True)
         places = places + moved * np.minimum(1.0, reach / np.maximum(length, 1e-12))
@@ -172,7 +181,9 @@ def fit_places(
         shared = problem.inside(shared + np.clip(step[size:], -reach, reach))
         if np.abs(moved).max() < 1e-3 * shared[-1]:
             break
-    covariance = np.linalg.inv(normal)[:size, :size].reshape(len(places), 4, len(places), 4)
+    covariance = np.linalg.inv(normal)[: size - 1, : size - 1].reshape(
+        len(places), 4, len(places), 4
+    )
     of_places = np.einsum("kikj->kij", covariance[:, :3, :, :3])
     glints = problem.glints(places, shared)
     weight = cauchy(glints, 3.0)
@@ -183,6 +194,7 @@ def fit_places(
         shared[-4:],
         _GLINT_SD_PX * float(np.sqrt((weight * glints**2).sum() / weight[glints != 0].sum())),
         ground_misfit,
+        0.0 if ground is None else float(np.exp(gains[-1])),
         np.linalg.norm(glints, axis=1),
     )
 
@@ -260,10 +272,10 @@ class _Problem:
         return np.concatenate(residuals)
 
     def linearised(self, places: Array, shared: Array) -> tuple[Array, Array]:
-        """Normal equations (4 L + S) of each light's place and lamp and of what lights share, with
-        robust weights; lamps stay empty, as glints do not show their brightness."""
+        """Normal equations (4 L + 1 + S) of each light's place and lamp, the beam, and what lights
+        share, with robust weights; lamps and beam stay empty, as glints do not show them."""
         residual, prior = self.of_light(places, shared), self.of_shared(shared)
-        lights, first = np.arange(len(places)), 4 * len(places)
+        lights, first = np.arange(len(places)), 4 * len(places) + 1
         slope = np.zeros((*residual.shape, first + len(shared)))
         of_prior = np.zeros((len(prior), slope.shape[-1]))
         for k, step in enumerate(1e-3 * np.eye(3)):
@@ -345,7 +357,7 @@ def places_by_ground(
     for fitted in (tiles, ~tiles):
         own, rest = ground.of_points(fitted), ground.of_points(~fitted)
         fit = fit_places([ball], 1.0, ground=own, eye_mm=eye, eye_sd_mm=eye_sd)
-        near = _misfit(rest, _shading(fit.places_mm, rest))
+        near = _misfit(rest, _shading(fit.places_mm, fit.lobe_exponent, rest)[0])
         explained.append(np.log(_misfit(rest, np.ones(rest.values.shape)) / near))
     places = fit_places([ball], 1.0, ground=ground, eye_mm=eye, eye_sd_mm=eye_sd)
     return places, float(np.mean(explained))
@@ -406,25 +418,34 @@ def _misfit(ground: MattGround, shading: Array) -> float:
     return misfit
 
 
-def _shading(places: Array, ground: MattGround) -> Array:
-    """(L, P) irradiance of the ground by lights of equal brightness."""
-    points = np.column_stack([ground.points_mm, np.zeros(len(ground.points_mm))])
-    return np.asarray(places[:, 2:] / np.linalg.norm(places[:, None] - points, axis=2) ** 3)
-
-
-def _of_ground(places: Array, gains: Array, ground: MattGround) -> tuple[Array, Array, float]:
-    """Normal equations (4 L) of each light's place and lamp by the ground's light, the albedo of
-    each point eliminated; and its relative misfit."""
+def _shading(places: Array, exponent: float, ground: MattGround) -> tuple[Array, Array, Array]:
+    """(L, P) irradiance of the ground by lights of equal brightness, its derivatives (L, P, 3) by
+    their places, and the cosine (L, P) off their beams' axes."""
     points = np.column_stack([ground.points_mm, np.zeros(len(ground.points_mm))])
     towards = places[:, None] - points
     square = np.einsum("kpi,kpi->kp", towards, towards)
-    unit = float(np.median(square))
-    strength = np.exp(gains)[:, None] * unit / (square * np.sqrt(square))
+    own = np.einsum("ki,ki->k", places, places)[:, None]
+    along = np.maximum(np.einsum("kpi,ki->kp", towards, places), 0.05 * own)
+    cosine = along / np.sqrt(square * own)
+    strength = cosine**exponent * float(np.median(square)) / (square * np.sqrt(square))
     shading = places[:, None, 2] * strength
-    by_light = np.empty((*shading.shape, 4))  # derivatives by x, y, z and the lamp
-    by_light[..., :3] = (-3.0 * shading / square)[..., None] * towards
-    by_light[..., 2] += strength
-    by_light[..., 3] = shading
+    turned = (towards + places[:, None]) / along[..., None] - (places / own)[:, None]
+    slope = exponent * turned - ((3.0 + exponent) / square)[..., None] * towards
+    slope *= shading[..., None]
+    slope[..., 2] += strength
+    return shading, slope, cosine
+
+
+def _of_ground(places: Array, gains: Array, ground: MattGround) -> tuple[Array, Array, float]:
+    """Normal equations (4 L + 1) of each light's place and lamp, and of the beam, by the ground's
+    light, the albedo of each point eliminated; and its relative misfit."""
+    exponent = float(np.exp(gains[-1]))
+    shading, by_place, cosine = _shading(places, exponent, ground)
+    of_beam = exponent * np.log(cosine) * shading
+    by_light = np.concatenate([by_place, np.stack([shading, of_beam], axis=2)], axis=2)
+    strengths = np.exp(gains[:-1])[:, None]
+    shading *= strengths
+    by_light *= strengths[..., None]
     albedo, weight, misfit = _albedo_of(ground, shading)
     expected = albedo * shading
     weight *= (ground.observations / np.maximum(ground.usable.sum(axis=1), 1))[:, None]
@@ -433,11 +454,14 @@ def _of_ground(places: Array, gains: Array, ground: MattGround) -> tuple[Array, 
     residual = root * (ground.values - expected)
     column = root * shading
     column /= np.sqrt((column * column).sum(axis=0)) + 1e-12
-    by_point = np.einsum("kp,kpi->kip", column, slope).reshape(4 * len(places), -1)
+    by_point = np.einsum("kp,kpi->kip", column, slope).reshape(5 * len(places), -1)
     normal = -by_point @ by_point.T
     for k, each in enumerate(slope):
-        own = slice(4 * k, 4 * k + 4)
+        own = slice(5 * k, 5 * k + 5)
         normal[own, own] += each.T @ each
     right = np.einsum("kpi,kp->ki", slope, residual).ravel()
     right -= by_point @ (column * residual).sum(axis=0)
-    return normal, right, misfit
+    last = 4 * len(places)
+    unknown = np.pad(np.arange(last).reshape(-1, 4), ((0, 0), (0, 1)), constant_values=last)
+    shared = np.eye(last + 1)[:, unknown.ravel()]  # all lamps have one beam
+    return shared @ normal @ shared.T, shared @ right, misfit
