@@ -58,7 +58,8 @@ def thing(name: str) -> Photographed:
 def of_dome(name: str, ball: str, box: tuple[slice, slice], every: int) -> tuple[Array, Array]:
     """Reduced photographs under a dome, and directions from the glints on one of its balls."""
     with tempfile.TemporaryDirectory() as folder:
-        lights = calibrated(name, [ball], Path(folder) / "lights.lp")
+        lights = Path(folder) / "lights.lp"
+        calibrated(DATA / "dome" / name, [ball], lights)
         rows = [line.split() for line in lights.read_text("utf-8").splitlines()[1:]]
     codes = np.linspace(0, 1, 4096)
     images = []
