@@ -313,13 +313,13 @@ def _highlight(image: FloatArray, inside: BoolArray) -> tuple[float, float]:
     ball mirrors is as bright under a low lamp, but wider."""
     smooth = cv2.GaussianBlur(image, (0, 0), 1.2)
     usual = float(np.median(smooth[inside]))
-    # a sixth of the radius, and 0.7 of the top: mirrored ground often touches the highlight
+    # a sixth of the radius, and 0.6 of the top: mirrored ground often touches the highlight
     values = np.subtract(smooth, cv2.GaussianBlur(smooth, (0, 0), len(inside) / 12.0))
     front = np.where(inside, values, 0.0)
     top = float(front.max())
     if top <= max(4.0 * usual, _MIN_HIGHLIGHT):
         return np.nan, np.nan
-    above = values - 0.7 * top
+    above = values - 0.6 * top
     _, labels = cv2.connectedComponents((above >= 0).astype(np.uint8), connectivity=8)
     highlight = labels == labels[np.unravel_index(np.argmax(front), front.shape)]
     rows, columns = np.nonzero(highlight)
