@@ -101,8 +101,9 @@ def faulty_photographs(
     def compared(kept: list[int]) -> _Comparison:
         return _Comparison(images[kept], (vectors * gains[:, None])[kept], inside, levels[kept])
 
-    def glossy_without(k: int) -> bool:
-        return compared([other for other in kept if other != k]).left > GLOSSY_LEFT
+    def glossy_without(k: int, evidence: float = 0.0) -> bool:
+        left = compared([other for other in kept if other != k]).left
+        return left > GLOSSY_LEFT and evidence < _BESIDE_GLOSS * left
 
     clipped = (images >= levels[:, None, None])[:, inside].mean(axis=1)
     # fraction of the object that is clipped in one photograph from which it is overexposed
@@ -123,9 +124,7 @@ def faulty_photographs(
             kept.remove(k)
     while len(kept) > LEAST_PHOTOGRAPHS:
         fault, evidence = compared(kept).worst()
-        if fault is None:
-            break
-        if evidence < _BESIDE_GLOSS and glossy_without(kept[fault.photograph]):
+        if fault is None or glossy_without(kept[fault.photograph], evidence):
             break
         k = kept.pop(fault.photograph)
         try:
@@ -150,10 +149,10 @@ _STANDS_OUT = 3.5
 """A photograph is moved, blurred or double if these pixels times the light that they explain are
 more than so many medians of all photographs' explained light. Chosen on: real photographs (a bear
 and a sphere, 19 draws of 5 to 24 lights)."""
-_BESIDE_GLOSS = 150.0
-"""The same where gloss causes misfit: up to 50 on a photographed coin and 14 rendered things of
-gloss and metal; 104, 128 where the coin had one spoilt, of another one. Source:
-validation/objects."""
+_BESIDE_GLOSS = 500.0
+"""The same over the unexplained light, where gloss causes misfit: 8 to 125 on a photographed coin
+and rendered gloss and metal, 220 where the coin had one spoilt, of another one; 1400 and more on a
+fossil with one spoilt. Chosen on: validation/objects."""
 _MANY = 16  # lights, of which one that ends hardly moves what the others predict
 _UNLIKE_PART = 0.6
 """Fraction of all residuals that goes with one photograph, beyond its even part, from which it is
