@@ -95,9 +95,9 @@ OTHER_ENCODING = (
     " `encoding` {0}."
 )
 AMBIENT = (
-    "about {:.0f} % of the object's bright light is of no lamp: light of the room, haze, or a black"
-    " level that was not taken off; slopes come out too small; give an image without any lamp"
-    " (`background`), or darken the room."
+    "about {:.0f} % of the object's bright light comes from no lamp of the list: light of the room,"
+    " haze, or a black level that was not taken off; slopes come out too small; give an image"
+    " without any lamp (`background`), or darken the room."
 )
 UNEXPLAINED = (
     "the photographs do not fit the lights they are given: {:.0f} % of the light (rms) is explained"
@@ -134,7 +134,7 @@ def with_equal_lights(band: Light, finger: Finger) -> tuple[Light, dict[str, Any
     facts: dict[str, Any] = {"matt_misfit": round(fits["matt"].misfit, 4)}
     doubts = _light_everywhere(fits, grey, lights)
     left = min(fits["matt"].misfit, fits["glossy"].misfit)
-    doubts = doubts or _other_response(band, finger, grey, lights, left)
+    doubts = doubts or _matt_otherwise(band, finger, grey, lights, left)
     doubts += _other_lights(fits["matt"], grey, lights, band.image_names)
     if band.flattened or doubts:
         return band, facts, doubts
@@ -202,14 +202,14 @@ def _light_everywhere(
     return [Finding("ambient-light", AMBIENT.format(100 * ambient), Severity.DOUBT)]
 
 
-def _other_response(
+def _matt_otherwise(
     band: Light, finger: Finger, grey: FloatArray, lights: FloatArray, stated: float
 ) -> list[Finding]:
-    """A doubt where an object is matt if its photographs were stored otherwise, if all of them have
-    some light of no lamp, or if all lights stand higher or lower, and clearly not as it is stated.
+    """A doubt where an object is clearly not matt as is stated, but is if its photographs were
+    stored otherwise, hold light of the room, or all lights stand higher or lower.
 
-    What is not matt answers to light as a tone curve does, so that its shading tells nothing of
-    how it was stored.
+    The light of what is not matt is not in proportion to the cosine either, so that its shading
+    does not show how it was stored.
     """
     if band.flattened or band.colours or stated < LIMITS.responds * LEAST_MISFIT:
         return []
