@@ -41,9 +41,7 @@ _LAMP_SD = 0.05  # of the logarithm of a lamp's brightness: lamps of one kind di
 _BEAM_SD = 0.5
 """Of the logarithm of the exponent of the lamps' beam: a bare LED has 1, one with a lens 5. Chosen
 on: two sets of photographs of one dome (validation/objects/dome.py), 1.3 mm apart; with 1.0 2.0."""
-_AIM_SD = 0.12
-"""Of a lamp's aim off the picture's middle, rad. Chosen on: rendered domes of lamps with a lens,
-aimed 5 mm (0.06) off (validation/objects/dome.py rendered)."""
+_AIM_SD = 0.06  # of a lamp's aim off the picture's middle, rad: 5 mm under a dome of 80 mm
 GROUND_POINTS = 4000  # over the whole picture
 _OF_BLOCKS = 8.0
 """Observations of means of blocks, which are less noisy. Chosen on: a photographed coin, tilt 1.1
@@ -189,8 +187,9 @@ def fit_places(
     )
     of_places = np.einsum("kikj->kij", covariance[:, :3, :, :3])
     exponent = 0.0 if ground is None else float(np.exp(gains[-1]))
-    # a lamp aimed elsewhere shades the ground as one that stands elsewhere
-    of_aim = np.square(_AIM_SD * shared[-1] * exponent / (3.0 + exponent))
+    # a lamp aimed elsewhere shades the ground as one that stands elsewhere, whose light falls with
+    # the cube of its distance
+    of_aim = np.square(_AIM_SD * shared[-1] * exponent / 3.0)
     glints = problem.glints(places, shared)
     weight = cauchy(glints, 3.0)
     return LightPlaces(
