@@ -2,7 +2,8 @@
 
 The thing and its GGX lobe are those of glossy.py; the balls are spheres by ray casting, which
 mirror the lamp and the ground. Lamps shine as a power of the cosine off their axes, which are aimed
-some mm beside the picture's middle; the camera is a pinhole off the picture's middle, with a lens's blur, shot and read noise, and JPEG.
+some mm beside the picture's middle; the camera is a pinhole off the picture's middle, with a lens's
+blur, shot and read noise, and JPEG.
 """
 
 from __future__ import annotations
@@ -193,7 +194,7 @@ def _window(scene: Dome, ball: Array):
 def _mirrored(
     scene: Dome, lamp: tuple[Array, Array, float], at: Array, normal: Array, view: Array
 ) -> Array:
-    """Light of a ball: the highlight of a lamp (place, aim, beam), and the ground that it mirrors."""
+    """Light of a ball: the highlight of a lamp (place, aim, beam), and the ground it mirrors."""
     towards, light = _beam(at, *lamp)
     glint = light * reflected(normal, towards, POLISHED, view)
     ray = 2 * (normal * view).sum(axis=2, keepdims=True) * normal - view

@@ -3,7 +3,8 @@
     python validation/objects/mistakes.py [NAME ...]
 
 Bear and ball of DiLiGenT, a grey sphere, the coin and the fossil of a home-made dome, where the data
-lie ($SPLITKNIT_DATA). Limits were chosen on bear, ball and coin; sphere and fossil were left out.
+lie ($SPLITKNIT_DATA). Limits were chosen on bear, ball and coin; sphere and fossil were looked at
+while some changed.
 Writes tables/mistakes.csv: the mistake's effect on least-squares normals (median, in degrees), and
 what is said.
 """
